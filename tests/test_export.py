@@ -282,7 +282,11 @@ def test_sdf_holds_walls_robot_and_laser(world: ExportedWorld, tmp_path: Path) -
     assert bits["left_collision"] & bits["collision"] != 0  # the floor
     names = [element.get("name") for element in root.iter() if element.get("name")]
     assert all("/" not in (name or "") for name in names)
-    compile((tmp_path / "bridge.launch.py").read_text(), "bridge.launch.py", "exec")
+    launch = (tmp_path / "bridge.launch.py").read_text()
+    compile(launch, "bridge.launch.py", "exec")
+    assert (
+        'MOUNT = {"x": 0.1, "y": 0.0, "z": 0.3, "yaw": 0.0}' in launch
+    )  # without it, /scan has no transform
 
 
 def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path) -> None:

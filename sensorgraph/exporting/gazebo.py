@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from importlib.resources import files
 from pathlib import Path
 from xml.etree import ElementTree
@@ -39,7 +40,7 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
     ElementTree.indent(root, " ")
     (folder / "world.sdf").write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
     template = (files("sensorgraph.data") / "export" / "bridge.launch.py").read_text(encoding="utf-8")
-    (folder / "bridge.launch.py").write_text(template, encoding="utf-8")
+    (folder / "bridge.launch.py").write_text(_with_mount(template, world), encoding="utf-8")
     sensor, left_out = world.robot.sensor, [*world.wide_wheels]
     if sensor.is_composite:
         left_out.append(
@@ -52,6 +53,15 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
     if world.robot.actuators.delay or world.robot.actuators.tau:
         left_out.append("dead time and lag of the motors: the plug-in limits only speed and acceleration")
     return left_out
+
+
+def _with_mount(template: str, world: ExportedWorld) -> str:
+    """Return the launch file with the mount of robot.yaml, which effects on the mount do not change."""
+    x, y, yaw = (float(value) for value in world.robot.sensor.mount)
+    mount = {"x": x, "y": y, "z": float(world.robot.sensor.height), "yaw": yaw}
+    line = 'MOUNT = {"x": 0.0, "y": 0.0, "z": 0.0, "yaw": 0.0}'
+    assert line in template
+    return template.replace(line, f"MOUNT = {json.dumps(mount)}")
 
 
 def _name(text: str) -> str:

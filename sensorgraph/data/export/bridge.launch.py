@@ -1,6 +1,6 @@
 """Start the world in Gazebo and bridge its topics to ROS 2: ros2 launch ./bridge.launch.py
 
-Then `ros2 bag record -s mcap /scan /odom /tf /cmd_vel` records a run that `sensorgraph` can read.
+Then `ros2 bag record -s mcap /scan /odom /tf /tf_static /cmd_vel` records a run that `sensorgraph` can read.
 """
 
 from pathlib import Path
@@ -12,6 +12,8 @@ from launch.substitutions import PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+MOUNT = {"x": 0.0, "y": 0.0, "z": 0.0, "yaw": 0.0}
+"""[m, m, m, rad] Pose of the laser in base_link, as in robot.yaml."""
 WORLD = Path(__file__).resolve().parent / "world.sdf"
 BRIDGED = [
     "/clock@rosgraph_msgs/msg/Clock[gz.msgs.Clock",
@@ -23,7 +25,8 @@ BRIDGED = [
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the simulator and the bridge."""
+    """Return the simulator, the bridge and the transform of the laser."""
+    mount = [text for name, value in MOUNT.items() for text in (f"--{name}", str(value))]
     start = PathJoinSubstitution([FindPackageShare("ros_gz_sim"), "launch", "gz_sim.launch.py"])
     return LaunchDescription(
         [
@@ -34,6 +37,12 @@ def generate_launch_description() -> LaunchDescription:
                 package="ros_gz_bridge",
                 executable="parameter_bridge",
                 arguments=BRIDGED,
+                parameters=[{"use_sim_time": True}],
+            ),
+            Node(
+                package="tf2_ros",
+                executable="static_transform_publisher",
+                arguments=[*mount, "--frame-id", "base_link", "--child-frame-id", "laser"],
                 parameters=[{"use_sim_time": True}],
             ),
         ]
