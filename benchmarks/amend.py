@@ -24,6 +24,7 @@ import numpy as np
 
 import sensorgraph as sg
 from benchmarks.arguments import parser_of
+from benchmarks.hidden_effects.geometry import interpolated
 from logs.run import Run
 from sensorgraph.exporting.twin import drive_twin
 from sensorgraph.world.robot import Robot, parse_robot
@@ -225,18 +226,9 @@ def repeat(twin: Twin, run: Run) -> tuple[np.ndarray, np.ndarray]:
         means = (np.array(speeds) + np.array([speeds[0], *speeds[:-1]])) / 2
         travelled = np.cumsum(means * TRUTH_STEP, axis=0)
         rate = 1 / float(np.median(np.diff(run.odom_stamps)))
-        twists.append(
-            np.column_stack(
-                [
-                    (np.interp(at, stamps, part) - np.interp(at - 1 / rate, stamps, part)) * rate
-                    for part in travelled.T
-                ]
-            )
-        )
-        a, b = (
-            np.array([np.interp(t, stamps, part) for part in np.array(poses).T])
-            for t in (start, start + SEGMENT)
-        )
+        before, after = (interpolated(t, np.array(stamps), travelled) for t in (at - 1 / rate, at))
+        twists.append((after - before) * rate)
+        a, b = (interpolated(t, np.array(stamps), np.array(poses)) for t in (start, start + SEGMENT))
         ends.append(_relative(a, b))
     return np.concatenate(twists), np.array(ends)
 
@@ -266,14 +258,8 @@ def errors(run: Run, twin: Twin, arena: sg.Arena) -> np.ndarray:
     true_ends = np.array([_relative(run.poses_at(t), run.poses_at(t + SEGMENT)) for t in starts])
     end_off = ends - true_ends
     # a ray that passes an edge differs by metres, so that the median of the squares would hide it and the mean is all of it
-    return np.array(
-        [
-            np.sqrt(np.mean(np.minimum(np.abs(off), 0.05) ** 2)),
-            np.sqrt(np.mean(twist_off**2)),
-            np.sqrt(np.mean(end_off[:, :2] ** 2)),
-            np.sqrt(np.mean(end_off[:, 2] ** 2)),
-        ]
-    )
+    limited = np.minimum(np.abs(off), 0.05)
+    return np.sqrt([np.mean(each**2) for each in (limited, twist_off, end_off[:, :2], end_off[:, 2])])
 
 
 def main() -> None:

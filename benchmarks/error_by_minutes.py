@@ -164,11 +164,8 @@ def ways(place: Place) -> dict[str, Drive]:
 
 def row(way: str, runs: list[Run], found: Evaluation) -> DriveScore:
     """Collect the numbers of one graph."""
-    wrong, of_answered, median = (
-        found.all["wrong_5cm"],
-        found.answered_only["wrong_5cm"],
-        found.all["median_m"],
-    )
+    wrong, of_answered = found.all["wrong_5cm"], found.answered_only["wrong_5cm"]
+    median = found.all["median_m"]
     assert wrong is not None and of_answered is not None and median is not None
     return DriveScore(
         way=way,

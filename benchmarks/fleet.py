@@ -140,9 +140,8 @@ def _worn(run: Run, quantity: str, size: float) -> Run:
     way = np.cos(middle) * steps[:, 0] + np.sin(middle) * steps[:, 1]
     across = np.cos(middle) * steps[:, 1] - np.sin(middle) * steps[:, 0]  # wear does not change this
     left, right = way - turn * BASE / 2, way + turn * BASE / 2
-    if (
-        quantity == "left_wheel"
-    ):  # the driver assumes the old radius, and so reports more than the wheel rolls
+    # the driver assumes the old radius, and so reports more than the wheel rolls
+    if quantity == "left_wheel":
         left = left / (1 + size)
     else:
         right = right / (1 + size)

@@ -248,7 +248,7 @@ def picture(found: Posterior, data: Halves, graph: Sensorgraph, path: Path) -> N
         left.plot(*np.asarray(wall).T, color="0.6", lw=0.6)
     way = np.where(
         data.covered[:, None], data.truth[:, :2], np.nan
-    )  # the first half has not been in the gaps
+    )  # gaps: where the first half has not been
     left.plot(*way.T, color="0.2", lw=0.8, label="located with all scans")
     left.plot(*found.poses[use, :2].T, ".", ms=3, label="filter")
     left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")

@@ -30,7 +30,7 @@ GRID_CELL = 0.05  # [m]
 MARCH_STEP = 0.025  # [m] of the march
 MAX_HIT = 10.0  # [m] longest return that counts as a hit; rays are followed up to here
 THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
-SCORE_COLUMNS = (
+SCORE_COLUMNS = [
     "mae_m",
     "median_m",
     "rmse_m",
@@ -39,7 +39,7 @@ SCORE_COLUMNS = (
     "pearson_r",
     "chamfer_m",
     "f_score",
-)
+]
 
 
 class Map(Protocol):
@@ -64,18 +64,16 @@ class Grid:
     def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
         self.bearings = bearings
         self.low = poses[:, :2].min(axis=0) - MAX_HIT - 2 * GRID_CELL
-        self.shape = np.ceil(
-            (poses[:, :2].max(axis=0) + MAX_HIT + 2 * GRID_CELL - self.low) / GRID_CELL
-        ).astype(np.int64)
+        high = poses[:, :2].max(axis=0) + MAX_HIT + 2 * GRID_CELL
+        self.shape = np.ceil((high - self.low) / GRID_CELL).astype(np.int64)
         n_cells = int(self.shape.prod())
         hits, passes = np.zeros(n_cells), np.zeros(n_cells)
         for start in range(0, len(poses), 32):
             p, r = poses[start : start + 32], ranges[start : start + 32]
             hit = np.isfinite(r) & (r > 0.1) & (r < MAX_HIT)
             hits += np.bincount(self._cells(p, r[:, :, None])[hit].ravel(), minlength=n_cells)
-            reach = np.where(
-                hit, r - GRID_CELL, np.where(r >= MAX_HIT, MAX_HIT, 0.0)
-            )  # +inf passes up to the cap
+            beyond = np.where(r >= MAX_HIT, MAX_HIT, 0.0)  # +inf passes up to the cap
+            reach = np.where(hit, r - GRID_CELL, beyond)
             steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
             cells = self._cells(p, np.broadcast_to(steps, (*r.shape, len(steps))))
             seen = steps < np.nan_to_num(reach, posinf=MAX_HIT)[:, :, None]
@@ -93,24 +91,19 @@ class Grid:
 
     def cast(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
         """March each ray; return ranges (n, n_rays) [m] and whether a cell reached the threshold."""
-        ranges, found = (
-            np.empty((len(poses), len(self.bearings))),
-            np.empty((len(poses), len(self.bearings)), bool),
-        )
+        ranges = np.empty((len(poses), len(self.bearings)))
+        found = np.empty(ranges.shape, bool)
         steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
         for start in range(0, len(poses), 32):
             p = poses[start : start + 32]
-            share = self.share[
-                self._cells(p, np.broadcast_to(steps, (len(p), len(self.bearings), len(steps))))
-            ]
+            every = np.broadcast_to(steps, (len(p), len(self.bearings), len(steps)))
+            share = self.share[self._cells(p, every)]
             stops = share >= threshold
             hit = stops.any(axis=2)
             first = np.where(hit, stops.argmax(axis=2), share.argmax(axis=2))
             last = first + 1  # the middle of the stretch inside the cell: on average half a cell further
-            ranges[start : start + 32], found[start : start + 32] = (
-                steps[np.minimum(last, len(steps) - 1)],
-                hit,
-            )
+            ranges[start : start + 32] = steps[np.minimum(last, len(steps) - 1)]
+            found[start : start + 32] = hit
         return ranges, found
 
 

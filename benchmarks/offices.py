@@ -84,23 +84,16 @@ def _furnish(space: Box, rng: np.random.Generator) -> list[tuple[str, Corners]]:
     if rng.random() < 0.6 and (at := spot(0.2, 0.5)):
         radius, n = float(rng.uniform(0.12, 0.22)), int(rng.integers(24, 33))
         angles = 2 * np.pi * np.arange(n) / n
-        things.append(
-            (
-                "column",
-                [(at[0] + radius * float(np.cos(a)), at[1] + radius * float(np.sin(a))) for a in angles],
-            )
-        )
+        ring = [(at[0] + radius * float(np.cos(a)), at[1] + radius * float(np.sin(a))) for a in angles]
+        things.append(("column", ring))
     for i in range(int(rng.integers(0, 3))):
         size = float(rng.uniform(0.4, 0.7))
         if at := spot(size, 0.4):
             turn = float(rng.uniform(0, np.pi))
             for k, (sx, sy) in enumerate([(-1, -1), (1, -1), (1, 1), (-1, 1)]):
                 c, s = np.cos(turn), np.sin(turn)
-                leg = (
-                    at[0] + size / 2 * float(c * sx - s * sy),
-                    at[1] + size / 2 * float(s * sx + c * sy),
-                )
-                things.append((f"leg_{i}_{k}", _turned(leg, 0.08, 0.08, turn)))
+                x, y = at[0] + size / 2 * float(c * sx - s * sy), at[1] + size / 2 * float(s * sx + c * sy)
+                things.append((f"leg_{i}_{k}", _turned((x, y), 0.08, 0.08, turn)))
     return things
 
 

@@ -30,9 +30,7 @@ MAP_CELL = 0.08  # [m]
 RANGE_SIGMA = 0.015  # [m]
 SCANS_IN_GRAPH = 200  # of a window against a graph
 N_SCANS_IN_GRAPH = 100  # of these that are taken
-MAX_WINDOWS = (
-    20  # of a log, evenly spread over its second half: commissioning takes longer than it tells beyond
-)
+MAX_WINDOWS = 20  # of a log, evenly spread over its second half: commissioning with more takes long
 N_SPREAD, SCANS_SPREAD = 3, 200  # samples of a whole log against a map of pixels, and scans of each
 MIN_KNOWN = 0.4  # share of its rays that meet a wall of the graph before unknown space
 

@@ -120,19 +120,9 @@ def with_mujoco(arena: Arena, poses: np.ndarray, sensor: RangeSensor) -> Callabl
             direction = phi + sensor.bearings
             vectors = np.stack([np.cos(direction), np.sin(direction), np.zeros_like(direction)], axis=1)
             mujoco.mj_multiRay(
-                model,
-                data,
-                np.array([x, y, 0.0]),
-                vectors.ravel(),
-                None,
-                1,
-                -1,
-                geoms,
-                out[k],
-                None,
-                sensor.n_rays,
-                sensor.range_max,
-            )
+                model, data, np.array([x, y, 0.0]), vectors.ravel(), None, 1, -1, geoms, out[k], None,
+                sensor.n_rays, sensor.range_max,
+            )  # fmt: skip
         return np.where(out < 0, np.inf, out).ravel()
 
     return work
@@ -152,16 +142,10 @@ def compare(name: str, arena: Arena, rng: np.random.Generator, n_poses: int, n_s
     )
     rows = [(f"plain numpy, {chunk} rays at a time (best)", best, truth)]
     ours = rate(lambda: cast(arena, poses, sensor), len(poses) * N_CAST_RAYS)
-    rows.append(
-        ("**sensorgraph `cast`** (with incidence and wall)", ours, cast(arena, few, sensor).ranges.ravel())
-    )
-    rows.append(
-        (
-            "shapely STRtree",
-            rate(lambda: with_shapely(arena, few, sensor), truth.size, 2),
-            with_shapely(arena, few, sensor),
-        )
-    )
+    ranges = cast(arena, few, sensor).ranges.ravel()
+    rows.append(("**sensorgraph `cast`** (with incidence and wall)", ours, ranges))
+    speed = rate(lambda: with_shapely(arena, few, sensor), truth.size, 2)
+    rows.append(("shapely STRtree", speed, with_shapely(arena, few, sensor)))
     try:
         work = with_mujoco(arena, few, sensor)
         rows.append(("MuJoCo mj_multiRay, thin boxes", rate(work, truth.size, 3), work()))

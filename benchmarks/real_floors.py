@@ -50,10 +50,7 @@ def main() -> None:
     warm_up(options.drive)
     for floor, start, area in floors(options.folder):
         for is_raster in (False, True):
-            kind = [
-                *(["raster"] if is_raster else []),
-                *([options.drive] if options.drive != "diff" else []),
-            ]
+            kind = [*(["raster"] if is_raster else []), *([options.drive] if options.drive != "diff" else [])]
             name = f"{floor} ({', '.join(kind)})" if kind else floor
             if name in known or area > options.largest or (is_raster and floor not in options.raster):
                 continue
@@ -104,17 +101,9 @@ def planned(arena: Arena, start: np.ndarray, drive: str) -> dict[str, Any]:
     before, began = processor_time(), time.perf_counter()
     report = plan(arena, vehicle(drive), start=start).report
     keys = (
-        "reachable_cells",
-        "coverage",
-        "ratio",
-        "limit_violations",
-        "min_clearance_m",
-        "share_of_bare_footprint",
-        "joins",
-        "lower_bound_s",
-        "drive_time_s",
-        "unreached",
-    )
+        "reachable_cells", "coverage", "ratio", "limit_violations", "min_clearance_m", "share_of_bare_footprint", "joins",
+        "lower_bound_s", "drive_time_s", "unreached",
+    )  # fmt: skip
     return {key: report[key] for key in keys} | {
         "wall_s": time.perf_counter() - began,
         "cpu_s": processor_time() - before,
@@ -125,9 +114,7 @@ def line(row: dict[str, Any]) -> str:
     """Return a row of the table."""
     per = 1e4 / row["reachable_cells"]
     bound = row["lower_bound_s"]
-    is_car = row["floor"].endswith(
-        ("dubins)", "reeds_shepp)")
-    )  # no bound that says anything is known for them
+    is_car = row["floor"].endswith(("dubins)", "reeds_shepp)"))  # whose bound says nothing
     above = f"{100 * (row['drive_time_s'] / bound - 1):.0f} %" if bound and not is_car else "-"
     return (
         f"| {row['floor']} | {row['area_m2']:,.0f} | {row['reachable_cells']:,} | {100 * row['coverage']:.3f} % | "

@@ -253,10 +253,7 @@ def row_of(path: Path, folder: Path) -> Row:
 
 def lines_of(rows: Sequence[Row]) -> list[str]:
     """Return the table in Markdown."""
-    lines = [
-        f"| log | what it is | {' | '.join(OUTPUTS)} | s |",
-        f"|---|---|{'---|' * len(OUTPUTS)}---:|",
-    ]
+    lines = [f"| log | what it is | {' | '.join(OUTPUTS)} | s |", f"|---|---|{'---|' * len(OUTPUTS)}---:|"]
     for row in rows:
         said = [("✗ " if row.ended[c] != 0 else "") + shortened(row.said[c]) for c in OUTPUTS]
         took = " / ".join(f"{row.seconds[c]:.0f}" for c in OUTPUTS)

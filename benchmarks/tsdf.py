@@ -28,9 +28,8 @@ class Tsdf:
     def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
         self.bearings = bearings
         self.low = poses[:, :2].min(axis=0) - TSDF_MAX_HIT - 3 * TSDF_CELL
-        self.shape = np.ceil(
-            (poses[:, :2].max(axis=0) + TSDF_MAX_HIT + 3 * TSDF_CELL - self.low) / TSDF_CELL
-        ).astype(np.int64)
+        high = poses[:, :2].max(axis=0) + TSDF_MAX_HIT + 3 * TSDF_CELL
+        self.shape = np.ceil((high - self.low) / TSDF_CELL).astype(np.int64)
         n_cells = int(self.shape.prod())
         total, weight = np.zeros(n_cells), np.zeros(n_cells)
         steps = np.arange(TSDF_STEP / 2, TSDF_MAX_HIT + TRUNCATION, TSDF_STEP)
@@ -39,16 +38,11 @@ class Tsdf:
             angle = p[:, 2:3] + bearings
             c, s = np.cos(angle)[:, :, None], np.sin(angle)[:, :, None]
             x, y = p[:, 0, None, None] + steps * c, p[:, 1, None, None] + steps * s
-            i, j = (
-                ((x - self.low[0]) / TSDF_CELL).astype(np.int64),
-                ((y - self.low[1]) / TSDF_CELL).astype(np.int64),
-            )
+            i = ((x - self.low[0]) / TSDF_CELL).astype(np.int64)
+            j = ((y - self.low[1]) / TSDF_CELL).astype(np.int64)
             hit = (np.isfinite(r) & (r > 0.1) & (r < TSDF_MAX_HIT))[:, :, None]
-            end = np.where(
-                hit,
-                np.nan_to_num(r, posinf=TSDF_MAX_HIT, neginf=0.0)[:, :, None],
-                np.where(r >= TSDF_MAX_HIT, TSDF_MAX_HIT, 0.0)[:, :, None],
-            )
+            beyond = np.where(r >= TSDF_MAX_HIT, TSDF_MAX_HIT, 0.0)[:, :, None]
+            end = np.where(hit, np.nan_to_num(r, posinf=TSDF_MAX_HIT, neginf=0.0)[:, :, None], beyond)
             along = ((i + 0.5) * TSDF_CELL + self.low[0] - p[:, 0, None, None]) * c  # of the cell's middle
             along = along + ((j + 0.5) * TSDF_CELL + self.low[1] - p[:, 1, None, None]) * s
             distance = np.where(hit, np.clip((end - along) / TRUNCATION, -1, 1), 1.0)

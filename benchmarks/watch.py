@@ -95,12 +95,8 @@ def kidnapped(data: Halves, odometry: Floats, first: int, at: int, there: int, l
     n = last - there
     index = np.concatenate([np.arange(first, at), np.arange(there, last)])
     ahead = compose(invert(odometry[there]), odometry[there:last])
-    stamps = np.concatenate(
-        [
-            data.second.stamps[first:at],
-            data.second.stamps[at] + data.second.stamps[there:last] - data.second.stamps[there],
-        ]
-    )
+    stamps = data.second.stamps
+    stamps = np.concatenate([stamps[first:at], stamps[at] + stamps[there:last] - stamps[there]])
     return Watched(
         stamps=stamps, ranges=data.second.ranges[index],
         odometry=np.concatenate([odometry[first:at], compose(np.tile(odometry[at], (n, 1)), ahead)]),
@@ -115,11 +111,8 @@ def put_off(
     """Return a stretch in which the belief is put off."""
     way, direction = rng.uniform(0.5, 1.0), rng.uniform(-np.pi, np.pi)
     turn = rng.uniform(np.radians(10), np.radians(20)) * rng.choice([-1.0, 1.0])
-    off = (
-        np.array([way * np.cos(direction), way * np.sin(direction), 0.0])
-        if rng.random() < 0.5
-        else np.array([0.0, 0.0, turn])
-    )
+    is_moved = rng.random() < 0.5
+    off = np.array([way * np.cos(direction), way * np.sin(direction), 0.0] if is_moved else [0.0, 0.0, turn])
     clean = stretch(data, odometry, first, last)
     believed = clean.believed.copy()
     believed[at - first :] = compose(believed[at - first :], off)
@@ -142,18 +135,14 @@ class Field:
             np.isfinite(ranges) & (ranges < self.sensor.range_max) & (ranges > self.sensor.range_min)
         )
         bearings = self.sensor.bearings[used] + self.sensor.mount[2]
-        ends = self.sensor.mount[:2] + ranges[used, None] * np.column_stack(
-            [np.cos(bearings), np.sin(bearings)]
-        )
+        ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
+        ends = self.sensor.mount[:2] + ranges[used, None] * ahead
         at = compose(pose, np.column_stack([ends, np.zeros(len(ends))]))[:, :2]
         column, row = np.floor((at - self.cells.low) / self.cells.cell).astype(int).T
         ny, nx = self.cells.distance.shape
         inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
-        return np.where(
-            inside,
-            self.cells.distance[np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)],
-            amcl_filter.MAX_DISTANCE,
-        )
+        distance = self.cells.distance[np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)]
+        return np.where(inside, distance, amcl_filter.MAX_DISTANCE)
 
     def mean_likelihood(self, pose: Floats, ranges: Floats) -> float:
         """Return the mean likelihood of the returns."""
@@ -199,9 +188,8 @@ def _separation(field: Field, right: Floats, wrong: Floats, ranges: Floats) -> f
 def area(scores: Floats, wrong: Ints) -> float:
     """Return the area under the curve of an alarm: probability that a wrong second scores higher than a right one."""
     n_wrong, n_right = int((wrong == 1).sum()), int((wrong == 0).sum())
-    return float(
-        (rankdata(scores)[wrong == 1].sum() - n_wrong * (n_wrong + 1) / 2) / max(n_wrong * n_right, 1)
-    )
+    above = rankdata(scores)[wrong == 1].sum() - n_wrong * (n_wrong + 1) / 2
+    return float(above / max(n_wrong * n_right, 1))
 
 
 class Alarms:
@@ -241,12 +229,10 @@ class Alarms:
             rays = np.linspace(0, sensor.n_rays - 1, amcl_filter.MAX_BEAMS).astype(int)
             used = rays[np.isfinite(one.ranges[rays]) & (one.ranges[rays] < sensor.range_max)]
             bearings = sensor.bearings[used] + sensor.mount[2]
-            ends = sensor.mount[:2] + one.ranges[used, None] * np.column_stack(
-                [np.cos(bearings), np.sin(bearings)]
-            )
-            weights = 1.0 + amcl_filter._contributions(
-                self.particles, ends, self.field.cells, self.table
-            ).sum(axis=1)
+            ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
+            ends = sensor.mount[:2] + one.ranges[used, None] * ahead
+            found = amcl_filter._contributions(self.particles, ends, self.field.cells, self.table)
+            weights = 1.0 + found.sum(axis=1)
             self.particles = self.particles[amcl_filter.drawn(weights / weights.sum(), self.rng)]
         return float(np.trace(np.cov(self.particles[:, :2].T)))
 

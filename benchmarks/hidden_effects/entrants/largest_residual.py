@@ -52,11 +52,7 @@ def largest_residual(case: Seen) -> dict[str, Any]:
     look("range_drift", np.broadcast_to(scans.share[:, None] > 2 / 3, mu.shape), "b1")
     for k in range(8):
         low, high = np.quantile(scans.bearings, [k / 8, (k + 1) / 8])
-        look(
-            "sector_bias",
-            np.broadcast_to((scans.bearings >= low) & (scans.bearings < high), mu.shape),
-            "b",
-        )
+        look("sector_bias", np.broadcast_to((scans.bearings >= low) & (scans.bearings < high), mu.shape), "b")
     for k, name in enumerate(names):
         is_outer = name.startswith(f"{next(iter(case.rings))}/")
         label = "moved_wall" if is_outer else "moved_obstacle"

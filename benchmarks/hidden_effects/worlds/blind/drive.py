@@ -305,12 +305,8 @@ def drive(
     per_command, n_steps = round(period / STEP), int(duration / STEP)
     n_most = n_steps // per_command + 6
     log = np.zeros((n_steps + per_command + 5, N_LOGGED))
-    stamps, acts, sent, acting = (
-        np.zeros(n_most),
-        np.zeros(n_most),
-        np.zeros((n_most, 2)),
-        np.zeros((n_most, 2)),
-    )
+    stamps, acts = np.zeros((2, n_most))
+    sent, acting = np.zeros((2, n_most, 2))
     pilot = Pilot(robot, planner, pilot_rng, style, period)
     state = start_state(*pilot.start)
     phase = link_rng.uniform(0, 1)

@@ -223,11 +223,8 @@ def _handover(rng: np.random.Generator, robot: Robot) -> dict[str, float]:
 
 
 def _grime(rng: np.random.Generator, robot: Robot) -> dict[str, float]:
-    width, half = rng.uniform(0.3, 0.6), robot.fov / 2
-    first = rng.uniform(-half * 0.9, half * 0.9 - width)
     return {
-        "theta1": rounded(first),
-        "theta2": rounded(first + width),
+        **_sector(rng, robot, 0.3, 0.6, 0.9),
         "p": rounded(rng.uniform(0.3, 0.5)),
         "r0": rounded(robot.range_min * 1.2 + 4 * robot.sigma, 4),
         "spread": 0.05,

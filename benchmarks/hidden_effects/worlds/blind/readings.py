@@ -187,8 +187,5 @@ def _duplicated(readings: Readings, ranges: Floats, hidden: Hidden) -> None:
             ranges[k] = ranges[k - 1]
 
 
-SCAN_FAULTS: dict[str, Callable[[Readings, Floats, Hidden], None]] = {
-    "f_stuck": _stuck,
-    "f_dup": _duplicated,
-}
+SCAN_FAULTS: dict[str, Callable[[Readings, Floats, Hidden], None]] = {"f_stuck": _stuck, "f_dup": _duplicated}
 """Of the ranges (n_scans, n_rays) [m] as logged, in place."""

@@ -322,8 +322,5 @@ def _made(scene: Scene, runs: Runs, attempt: int) -> dict[str, Any]:
         "attempt": attempt,
         "least_clearance": round(scene.clearance, 3),
         "scans": len(logged),
-        "odometry": {
-            "integration": scene.background.integration,
-            "age": scene.background.odometry_age,
-        },
+        "odometry": {"integration": scene.background.integration, "age": scene.background.odometry_age},
     }

@@ -130,10 +130,7 @@ class Facets(Effect, name="g_facets"):
 
 law(
     "g_nearbias",
-    lambda scene: {
-        "A": even(scene, 0.08, 0.14),
-        "L": np.quantile(scene.hits.ranges, even(scene, 0.25, 0.5)),
-    },
+    lambda scene: {"A": even(scene, 0.08, 0.14), "L": np.quantile(scene.hits.ranges, even(scene, 0.25, 0.5))},
     note="Strong echoes of near walls trigger early (walk error): z = r - A exp(-r/L) cos; near range_bias/range_scale.",
     ideal=lambda p, rays: rays.ranges - p["A"] * np.exp(-_finite(rays, 99) / p["L"]) * rays.cosine,
 )

@@ -12,15 +12,7 @@ from scipy import ndimage
 from benchmarks.hidden_effects.log import Floats, Odometry
 from benchmarks.hidden_effects.worlds.floors.base import follow
 from benchmarks.hidden_effects.worlds.floors.effect import DEGREE, Effect, even, law, rounded, sign
-from benchmarks.hidden_effects.worlds.floors.scene import (
-    OMEGA,
-    STEP,
-    TIME,
-    BaseState,
-    Scene,
-    V,
-    pose_at,
-)
+from benchmarks.hidden_effects.worlds.floors.scene import OMEGA, STEP, TIME, BaseState, Scene, V, pose_at
 
 BUMP_STEPS = 25
 """Steps of the base that a bump lasts."""
@@ -255,10 +247,7 @@ def _to_grid(value: float, step: float) -> float:
 
 law(
     "g_setsteps",
-    lambda scene: {
-        "v": scene.robot.v / even(scene, 5, 8),
-        "omega": scene.robot.omega / even(scene, 6, 9),
-    },
+    lambda scene: {"v": scene.robot.v / even(scene, 5, 8), "omega": scene.robot.omega / even(scene, 6, 9)},
     "drive",
     note="The base rounds set points to a coarse grid towards zero; near speed_saturation.",
     target=lambda p, state, v, omega: (_to_grid(v, p["v"]), _to_grid(omega, p["omega"])),
@@ -337,10 +326,7 @@ class Windup(Effect, name="g_windup", channel="drive"):
 
     def motors(self, state: BaseState, left: float, right: float) -> tuple[float, float]:
         share = follow(state.setup.robot.tau)
-        return (
-            self._after(0, state.rim_left, left, share),
-            self._after(1, state.rim_right, right, share),
-        )
+        return (self._after(0, state.rim_left, left, share), self._after(1, state.rim_right, right, share))
 
     def _after(self, wheel: int, rim: float, target: float, share: float) -> float:
         """Return the rim speed [m/s] of a wheel after a step."""

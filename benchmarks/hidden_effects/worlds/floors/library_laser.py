@@ -65,11 +65,7 @@ law(
     lambda scene: {"delta": signed(scene, 0.00175)},
     mount=lambda p, taken, mount: (*mount[:2], mount[2] + p["delta"]),
 )
-law(
-    "mount_xy",
-    _draw_shift,
-    mount=lambda p, taken, mount: (mount[0] + p["dx"], mount[1] + p["dy"], mount[2]),
-)
+law("mount_xy", _draw_shift, mount=lambda p, taken, mount: (mount[0] + p["dx"], mount[1] + p["dy"], mount[2]))
 law("latency", lambda scene: {"tau": size(scene, 0.005, 2.2)}, times=lambda p, taken: taken - p["tau"])
 law(
     "scan_skew",

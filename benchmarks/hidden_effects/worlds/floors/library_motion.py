@@ -93,10 +93,7 @@ class ActuatorLag(Effect, name="actuator_lag", channel="drive"):
     def draw(self, scene: Scene) -> None:
         self.parameters = rounded(tau=size(scene, 0.015, 2.5))
         second = scene.background.second_lag
-        self.lags = (
-            follow(scene.robot.tau + self.parameters["tau"]),
-            follow(second) if second else 1.0,
-        )
+        self.lags = (follow(scene.robot.tau + self.parameters["tau"]), follow(second) if second else 1.0)
 
     def motors(self, state: BaseState, left: float, right: float) -> tuple[float, float]:
         return lagged(state, left, right, self.lags)

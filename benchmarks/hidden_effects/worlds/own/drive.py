@@ -123,9 +123,7 @@ class Errand:
     def _pace(self) -> float:
         """Return a speed [m/s]; slow, middling and full ones take turns."""
         if not self.paces:
-            self.paces = [
-                *map(float, self.rng.permutation([0.4, 0.28, *self.rng.uniform(0.15, 0.4, size=1)]))
-            ]
+            self.paces = self.rng.permutation([0.4, 0.28, self.rng.uniform(0.15, 0.4)]).tolist()
         return self.paces.pop()
 
     def _plan(self, pose: tuple[float, float, float]) -> None:
@@ -156,19 +154,13 @@ class Errand:
                 best, score = point, value
         if best is None:
             # boxed in: turn, or leave by a short step
-            self.queue.append(
-                Leg(kind="spin", amount=float(rng.choice([-1, 1]) * rng.uniform(0.5, 2)), speed=0.6)
-            )
+            amount = float(rng.choice([-1, 1]) * rng.uniform(0.5, 2))
+            self.queue.append(Leg(kind="spin", amount=amount, speed=0.6))
             return
         self.seen.append(best)
-        self.queue.append(
-            Leg(
-                kind="goto",
-                target=(float(best[0]), float(best[1])),
-                speed=self._pace(),
-                is_arc=bool(rng.random() < 0.4 and self.wide.contains(shapely.LineString([here, best]))),
-            )
-        )
+        pace, target = self._pace(), (float(best[0]), float(best[1]))
+        is_arc = bool(rng.random() < 0.4 and self.wide.contains(shapely.LineString([here, best])))
+        self.queue.append(Leg(kind="goto", target=target, speed=pace, is_arc=is_arc))
 
 
 @dataclass(eq=False)
@@ -206,9 +198,8 @@ class Delivery:
         )
         first, last = math.floor(begin + 1e-9), math.floor(end - 1e-9)
         (au, aw), (bu, bw) = (self.commands[i] if i >= 0 else (0.0, 0.0) for i in (first, last))
-        part = (
-            (last - begin) * COMMAND_PERIOD / SIMULATION_STEP if last > first else 0.0
-        )  # of the step, still under the old command
+        # of the step, still under the old command
+        part = (last - begin) * COMMAND_PERIOD / SIMULATION_STEP if last > first else 0.0
         return bu + part * (au - bu), bw + part * (aw - bw)
 
 
@@ -265,6 +256,11 @@ class Pilot:
         return min(leg.speed, 0.8 * way + 0.03) * max(0.2, math.cos(turn)) ** 2, omega
 
 
+def within(value: float, most: float) -> float:
+    """Return the value, or the nearest of -most and most."""
+    return max(-most, min(most, value))
+
+
 def drive(errand: Errand, robot: RobotSpec, motors: TrueMotors, duration: float) -> TrueDrive:
     """Integrate the robot for `duration` [s]; control every COMMAND_PERIOD, truth every SIMULATION_STEP."""
     pilot = Pilot(errand=errand, robot=robot)
@@ -280,18 +276,13 @@ def drive(errand: Errand, robot: RobotSpec, motors: TrueMotors, duration: float)
         want_v, want_w = pilot.command(k * COMMAND_PERIOD, x, y, phi)
         if k > n_commands - 20:
             want_v = want_w = 0.0
-        u += max(
-            -robot.a * COMMAND_PERIOD, min(robot.a * COMMAND_PERIOD, max(-robot.v, min(robot.v, want_v)) - u)
-        )
-        w += max(
-            -robot.alpha * COMMAND_PERIOD,
-            min(robot.alpha * COMMAND_PERIOD, max(-robot.omega, min(robot.omega, want_w)) - w),
-        )
+        u += within(within(want_v, robot.v) - u, robot.a * COMMAND_PERIOD)
+        w += within(within(want_w, robot.omega) - w, robot.alpha * COMMAND_PERIOD)
         delivery.send(u, w)
         for j in range(substeps):
             t = k * COMMAND_PERIOD + (j + 0.5) * SIMULATION_STEP
             cu, cw = delivery.at(t)
-            cu = max(-motors.v_max, min(motors.v_max, cu))
+            cu = within(cu, motors.v_max)
             if motors.backlash and abs(cw) < motors.backlash:
                 cw = 0.0
             if t > motors.late_gain[0]:
@@ -300,11 +291,9 @@ def drive(errand: Errand, robot: RobotSpec, motors: TrueMotors, duration: float)
             grip = 1.0 - motors.slip if motors.slip and math.hypot(x - px, y - py) < pr else 1.0
             mean_v, mean_w = (v + v1) / 2 * grip, (omega + w1) / 2 * grip
             middle = phi + mean_w * SIMULATION_STEP / 2
-            x, y, phi = (
-                x + mean_v * SIMULATION_STEP * math.cos(middle),
-                y + mean_v * SIMULATION_STEP * math.sin(middle),
-                phi + mean_w * SIMULATION_STEP,
-            )
+            x += mean_v * SIMULATION_STEP * math.cos(middle)
+            y += mean_v * SIMULATION_STEP * math.sin(middle)
+            phi += mean_w * SIMULATION_STEP
             v, omega = v1, w1
             rows.append((x, y, phi, v, omega))
     table = np.array(rows)

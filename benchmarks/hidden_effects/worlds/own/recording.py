@@ -87,12 +87,8 @@ class CaseSetup:
 
     def true_mount(self) -> Floats:
         """Return the mount (3,) as built."""
-        rng = np.random.default_rng([self.back_seed, 2])
-        off = rng.uniform(-1, 1, 3) * [
-            self.background.mount_xy,
-            self.background.mount_xy,
-            self.background.mount_yaw,
-        ]
+        rng, one = np.random.default_rng([self.back_seed, 2]), self.background
+        off = rng.uniform(-1, 1, 3) * [one.mount_xy, one.mount_xy, one.mount_yaw]
         return np.array(self.robot.mount) + off
 
     def scene(self, driven: TrueDrive, stamps: Floats) -> SimulatedScan:
@@ -199,9 +195,8 @@ def reported_poses(driven: TrueDrive, stamps: Floats, effects: Sequence[HiddenEf
     poses = driven.at(stamps)
     for effect in effects:
         if effect.name in foreign.POSE_EFFECTS:
-            poses = foreign.POSE_EFFECTS[effect.name](
-                effect.parameters, stamps, poses, driven, {"room": room}
-            )
+            law = foreign.POSE_EFFECTS[effect.name]
+            poses = law(effect.parameters, stamps, poses, driven, {"room": room})
     return poses
 
 

@@ -209,12 +209,8 @@ def _look_around(scene: SimulatedScan, effects: Sequence[HiddenEffect]) -> None:
 def _look(scene: SimulatedScan, effects: Sequence[HiddenEffect]) -> Floats:
     """Cast against walls and discs, then let surfaces act; sets wall, incidence and along."""
     hits = cast(scene.walls, scene.origins, scene.angles)
-    scene.true, scene.wall, scene.incidence, scene.along = (
-        hits.ranges,
-        hits.wall.copy(),
-        hits.incidence,
-        hits.along,
-    )
+    scene.true, scene.wall = hits.ranges, hits.wall.copy()
+    scene.incidence, scene.along = hits.incidence, hits.along
     for effect in effects:
         if effect.name in STAGES["surface"]:
             STAGES["surface"][effect.name](scene, effect.parameters, effect)

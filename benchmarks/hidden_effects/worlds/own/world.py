@@ -77,9 +77,8 @@ def cast(walls: Walls, origins: Floats, angles: Floats) -> TrueHits:
     w = np.maximum(wall, 0)
     cos_inc = np.abs(-e[w, 1] * cx + e[w, 0] * cy) / length[w]
     with np.errstate(invalid="ignore"):
-        along = (
-            (ox + best * cx - walls.a[w, 0]) * e[w, 0] + (oy + best * cy - walls.a[w, 1]) * e[w, 1]
-        ) / length[w]
+        x, y = ox + best * cx - walls.a[w, 0], oy + best * cy - walls.a[w, 1]
+        along = (x * e[w, 0] + y * e[w, 1]) / length[w]
     return TrueHits(
         ranges=best,
         wall=wall,
@@ -139,12 +138,8 @@ def _outer(rng: np.random.Generator) -> Floats:
         p, q = rng.uniform(0.15, 0.3) * w, rng.uniform(0.55, 0.75) * w
         ring = np.array([(0, 0), (w, 0), (w, h), (q, h), (q, h + depth), (p, h + depth), (p, h), (0, h)])
     elif kind == "corridor":
-        w, h, long, wide = (
-            rng.uniform(4.5, 6.0),
-            rng.uniform(4.5, 6.0),
-            rng.uniform(2.5, 4.0),
-            rng.uniform(1.4, 1.8),
-        )
+        w, h = rng.uniform(4.5, 6.0, size=2)
+        long, wide = rng.uniform(2.5, 4.0), rng.uniform(1.4, 1.8)
         p = rng.uniform(0.5, h - wide - 0.5)
         ring = np.array(
             [(0, 0), (w, 0), (w, p), (w + long, p), (w + long, p + wide), (w, p + wide), (w, h), (0, h)]

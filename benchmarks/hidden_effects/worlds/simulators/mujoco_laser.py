@@ -55,12 +55,8 @@ class World:
                 self._wall(spec, name, *room.edge(name))
         for name in room.obstacles:
             ring = room.rings[name]
-            spec.add_mesh(
-                name=name,
-                uservert=np.concatenate(
-                    [np.column_stack([ring, np.full(len(ring), z)]) for z in (0.0, HEIGHT)]
-                ).ravel(),
-            )
+            ends = [np.column_stack([ring, np.full(len(ring), z)]) for z in (0.0, HEIGHT)]
+            spec.add_mesh(name=name, uservert=np.concatenate(ends).ravel())
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=SOLID)
         for k in range(people):
             body = spec.worldbody.add_body(name=f"person_{k}", mocap=True)
@@ -207,9 +203,8 @@ class Scanner:
             origin, angles = self._rays(at, bearings, when)
             if curtain is not None:
                 on = world.on_part(world.cast(origin, angles)[2])
-                z = z + on * curtain["sway"] * np.sin(2 * np.pi * when / curtain["period"]) / np.cos(
-                    incidence
-                )
+                sway = curtain["sway"] * np.sin(2 * np.pi * when / curtain["period"])
+                z = z + on * sway / np.cos(incidence)
             out[k] = self._measured(z, incidence, when, angles)
         return out
 
@@ -237,11 +232,8 @@ class Scanner:
         laser, secrets, rng, n = self.laser, self.secrets, self.rng, len(z)
         value, bearings = secrets.value, laser.bearings
         finite = np.where(np.isfinite(z), z, 0.0)
-        z = (
-            z * (1 + value("range_scale", "s"))
-            + value("range_bias", "b")
-            + value("range_drift", "b1") * when / self.driven.times[-1]
-        )
+        z = z * (1 + value("range_scale", "s")) + value("range_bias", "b")
+        z = z + value("range_drift", "b1") * when / self.driven.times[-1]
         sector = secrets.get("sector_bias")
         if sector is not None:
             z = z + sector["b"] * ((bearings >= sector["theta1"]) & (bearings <= sector["theta2"]))
@@ -255,10 +247,8 @@ class Scanner:
         z = self._lost_and_stray(z, incidence, when, angles)
         q = value("quantisation", "q") or laser.resolution
         z = np.where(np.isfinite(z), q * np.round(np.where(np.isfinite(z), z, 0.0) / q), z)
-        low, high = (
-            max(laser.range_min, value("min_range", "r_min")),
-            min(laser.range_max, value("max_range", "R", 99.0)),
-        )
+        low = max(laser.range_min, value("min_range", "r_min"))
+        high = min(laser.range_max, value("max_range", "R", 99.0))
         z = np.where(np.isfinite(z) & (z < low), np.inf if value("min_range", "r_min") else -np.inf, z)
         return np.where(z > high, np.inf, z)
 
