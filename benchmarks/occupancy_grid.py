@@ -30,16 +30,9 @@ GRID_CELL = 0.05  # [m]
 MARCH_STEP = 0.025  # [m] of the march
 MAX_HIT = 10.0  # [m] longest return that counts as a hit; rays are followed up to here
 THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
-SCORE_COLUMNS = [
-    "mae_m",
-    "median_m",
-    "rmse_m",
-    "within_0.1m",
-    "within_0.5m",
-    "pearson_r",
-    "chamfer_m",
-    "f_score",
-]
+SCORE_COLUMNS = (
+    "mae_m", "median_m", "rmse_m", "within_0.1m", "within_0.5m", "pearson_r", "chamfer_m", "f_score",
+)  # fmt: skip
 
 
 class Map(Protocol):

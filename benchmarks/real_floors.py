@@ -65,15 +65,9 @@ def main() -> None:
 def floors(folder: Path) -> list[tuple[str, np.ndarray, float]]:
     """Return name, start (3,) [m, m, rad] and area [m2] of each floor, the smallest first."""
     with (folder / "index.csv").open() as file:
-        found = [
-            (
-                row["floor"],
-                np.array([float(row["start_x"]), float(row["start_y"]), 0.0]),
-                float(row["area_m2"]),
-            )
-            for row in csv.DictReader(file)
-        ]
-    return sorted(found, key=lambda floor: floor[2])
+        rows = sorted(csv.DictReader(file), key=lambda row: float(row["area_m2"]))
+    starts = [np.array([float(row["start_x"]), float(row["start_y"]), 0.0]) for row in rows]
+    return [(row["floor"], start, float(row["area_m2"])) for row, start in zip(rows, starts, strict=True)]
 
 
 def read_floor(folder: Path, floor: str) -> Arena:

@@ -111,15 +111,9 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
         if others:
             beta = learned_from([other for other in logs if other is not log])
             evidence = CellEvidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
-            model = CellModel(
-                **{
-                    **vars(graph.model),
-                    "beta": beta,
-                    "table": tabulate(
-                        evidence, beta, (CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma)
-                    ),
-                }
-            )
+            sigma = CELLS.answers.first_sigma
+            table = tabulate(evidence, beta, (sigma, 0.0, sigma))
+            model = CellModel(**{**vars(graph.model), "beta": beta, "table": table})
             stranger = Sensorgraph(
                 model=model, sensor=graph.sensor, pose_frame=graph.pose_frame, origin=graph.origin
             )

@@ -57,13 +57,8 @@ SHARE = re.compile(
 NOT_OF_ANSWERS = {"held_out", "observability", "site"}
 """Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
 OF_MATHEMATICS = {
-    "CHI2_MEDIAN_1",
-    "CHI2_MEDIAN_3",
-    "GOLDEN_RATIO",
-    "MEDIAN_OF_NORMAL",
-    "SIGMA_OF_MAD",
-    "ROUND_OFF",
-}
+    "CHI2_MEDIAN_1", "CHI2_MEDIAN_3", "GOLDEN_RATIO", "MEDIAN_OF_NORMAL", "SIGMA_OF_MAD", "ROUND_OFF",
+}  # fmt: skip
 """Constants that nobody has tuned."""
 NOT_ASKED = re.compile(r"settings|calibration|\.site_")
 """Modules whose constants no case needs: runs without a reference, and against a commissioning run."""
@@ -294,18 +289,10 @@ def main() -> None:
     options = parser.parse_args()
     wanted = [part for part in options.only.split(",") if part]
     of_scans = [*settings_of("scan", SCAN), *constants_of("scan", sensorgraph.diagnosis.scan)]
+    groups = (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE)
+    of_motion = [s for g in groups for s in settings_of("motion", g)]
     parts = {
-        "motion": (
-            MOTION_CASES,
-            [
-                *(
-                    s
-                    for g in (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE)
-                    for s in settings_of("motion", g)
-                ),
-                *constants_of("motion", sensorgraph.diagnosis.motion),
-            ],
-        ),
+        "motion": (MOTION_CASES, [*of_motion, *constants_of("motion", sensorgraph.diagnosis.motion)]),
         "scan": (SCAN_CASES, [s for s in of_scans if s.holder not in JUDGING]),
         "judging scans": (SCAN_CASES, [s for s in of_scans if s.holder in JUDGING]),
     }
@@ -314,11 +301,8 @@ def main() -> None:
         if not settings:
             continue
         cases = [one.make(channel.split()[-1].removesuffix("s")) for one in hidden]
-        answer = (
-            partial(judged, searched(cases))
-            if channel.startswith("judging")
-            else partial(answers, channel, cases)
-        )
+        is_judging = channel.startswith("judging")
+        answer = partial(judged, searched(cases)) if is_judging else partial(answers, channel, cases)
         begin = time.perf_counter(), os.times().children_user
         usual = in_process(answer, None)
         if isinstance(usual, str):

@@ -85,15 +85,8 @@ def score(predicted: Floats, truth: Floats, noise: Floats, use: Bools | None = N
     use = np.isfinite(truth) if use is None else use & np.isfinite(truth)
     error = np.abs(np.where(np.isfinite(predicted), predicted, 30.0) - truth)[use]
     noisy = np.abs(np.where(np.isfinite(predicted), predicted, 30.0) - truth - noise)[use]
-    return np.array(
-        [
-            100 * (noisy < 3 * LASER_SIGMA).mean(),
-            1e3 * np.median(error),
-            1e3 * error.mean(),
-            100 * (error < 0.10).mean(),
-            100 * (error > 0.05).mean(),
-        ]
-    )
+    shares = [100 * each.mean() for each in (noisy < 3 * LASER_SIGMA, error < 0.10, error > 0.05)]
+    return np.array([shares[0], 1e3 * np.median(error), 1e3 * error.mean(), *shares[1:]])
 
 
 def trial(which: str, case: str) -> dict[str, Floats]:

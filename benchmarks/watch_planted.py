@@ -56,12 +56,8 @@ def planted(data: Halves, watched: Watched, name: str, rng: np.random.Generator)
     elif name == "mount_yaw":  # the laser is turned by 2 degrees: whole rays, and the rest interpolated
         bearings = data.second.sensor.bearings
         with np.errstate(invalid="ignore"):
-            ranges = np.array(
-                [
-                    np.interp(bearings + np.radians(2), bearings, row)
-                    for row in np.where(np.isfinite(ranges), ranges, 1e6)
-                ]
-            )
+            rows = np.where(np.isfinite(ranges), ranges, 1e6)
+            ranges = np.array([np.interp(bearings + np.radians(2), bearings, row) for row in rows])
         ranges = np.where(ranges > data.second.sensor.range_max, np.inf, ranges)
     elif name == "range_bias":
         ranges = ranges + 0.03
@@ -99,20 +95,10 @@ def robot_part(data: Halves, n: int, rng: np.random.Generator) -> None:
             watched = stretch(data, odometry, at, last)
             if np.isnan(watched.believed).any():
                 continue
-            said = list(
-                watch_scans(
-                    data.graph,
-                    planted(data, watched, name, rng).observations(),
-                    sensor,
-                    baseline=policy.baseline,
-                )
-            )
-            found = {
-                fault.name
-                for status in said
-                if status.t - said[0].t <= 1.5 * limit
-                for fault in status.faults
-            }
+            seen = planted(data, watched, name, rng).observations()
+            said = list(watch_scans(data.graph, seen, sensor, baseline=policy.baseline))
+            soon = [status for status in said if status.t - said[0].t <= 1.5 * limit]
+            found = {fault.name for status in soon for fault in status.faults}
             total += 1
             right += name in found
             wrong += bool(found - {name})

@@ -62,14 +62,8 @@ def judge(action: Callable[[], object], seconds: float = SECONDS) -> str:
     except Hung:
         return f"takes longer than {seconds:g} s"
     except BaseException as exc:
-        frame = next(
-            (
-                f
-                for f in reversed(traceback.extract_tb(exc.__traceback__))
-                if "/site-packages/" not in f.filename
-            ),
-            None,
-        )
+        frames = reversed(traceback.extract_tb(exc.__traceback__))
+        frame = next((f for f in frames if "/site-packages/" not in f.filename), None)
         where = "" if frame is None else f" at {Path(frame.filename).name}:{frame.lineno}"
         return f"{type(exc).__name__}{where}: {' '.join(str(exc).split())[:80]}"
     return ""

@@ -80,30 +80,24 @@ class DataSheet:
         delay : [s] from a command to its effect, as a bench test finds it
         """
         x, y, yaw = self.mount
+
+        def stated(*names: str) -> dict[str, Any]:
+            return {name: getattr(self, name) for name in names}
+
         facts: dict[str, Any] = {
             "name": self.name,
             "drive": "diff",
             "footprint_radius": self.footprint,
-            "limits": {
-                "v": self.v,
-                "omega": self.omega,
-                "a": self.a,
-                "alpha": self.alpha,
-                "turning_radius": 0.0,
-            },
+            "limits": {**stated("v", "omega", "a", "alpha"), "turning_radius": 0.0},
             "sensor": {
                 "mount": [x, y, round(yaw, self.angle_digits)],
                 "n_rays": self.n_rays,
                 "fov": round(self.fov, self.angle_digits),
-                "range_min": self.range_min,
-                "range_max": self.range_max,
-                "sigma": self.sigma,
-                "resolution": self.resolution,
+                **stated("range_min", "range_max", "sigma", "resolution"),
                 "rate": self.scan_rate,
-                "sweep_time": self.sweep_time,
-                "height": self.height,
+                **stated("sweep_time", "height"),
             },
-            "pose": {"rate": self.pose_rate, "sigma_xy": self.sigma_xy, "sigma_yaw": self.sigma_yaw},
+            "pose": {"rate": self.pose_rate, **stated("sigma_xy", "sigma_yaw")},
             "wheels": {
                 "radius": self.wheel_radius,
                 "base": self.wheel_base,

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -292,16 +293,14 @@ def text(cases: Sequence[Case]) -> str:
     )
 
 
+def _is_material(background: str, case: Case) -> bool:
+    return case.suite == "singles" and case.background == background and case.is_material
+
+
 COMPARED: Mapping[str, tuple[Claim, Claim]] = {
     "nothing hidden: silent": (lambda c: c.suite == "none", is_good),
-    "material single, clean: named first": (
-        lambda c: c.suite == "singles" and c.background == "clean" and c.is_material,
-        lambda c: c.is_first_right,
-    ),
-    "material single, dirty: named first": (
-        lambda c: c.suite == "singles" and c.background == "dirty" and c.is_material,
-        lambda c: c.is_first_right,
-    ),
+    "material single, clean: named first": (partial(_is_material, "clean"), lambda c: c.is_first_right),
+    "material single, dirty: named first": (partial(_is_material, "dirty"), lambda c: c.is_first_right),
     "single named wrongly first": (lambda c: c.suite == "singles", lambda c: c.is_first_wrong),
     "several: exactly these": (lambda c: c.suite in ("pairs", "triples"), lambda c: c.is_right),
     "outside the library: unknown": (lambda c: c.suite == "foreign", lambda c: c.is_unknown),

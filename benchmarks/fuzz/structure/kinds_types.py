@@ -45,15 +45,8 @@ def _as_cloud(
     for kind in kinds.values():
         offsets.append(size)
         size += np.dtype(kind).itemsize
-    order = ">" if big else "<"
-    form = np.dtype(
-        {
-            "names": list(kinds),
-            "formats": [order + k for k in kinds.values()],
-            "offsets": offsets,
-            "itemsize": size + pad,
-        }
-    )
+    formats = [(">" if big else "<") + kind for kind in kinds.values()]
+    form = np.dtype({"names": list(kinds), "formats": formats, "offsets": offsets, "itemsize": size + pad})
     n = len(columns["x"])
     points: NDArray[Any] = np.zeros(n, form)
     for name in kinds:
@@ -195,11 +188,8 @@ def not_finite(start: Start, draft: Draft) -> None:
     for item in draft.on(topic):
         if start.chance(0.05):
             bad = np.full(7, start.pick((np.nan, np.inf, 1e300)))
-            item.content = (
-                {"transforms": [("odom", "base_link", bad)]}
-                if topic == "/tf"
-                else item.content | {"pose": bad}
-            )
+            edge = {"transforms": [("odom", "base_link", bad)]}
+            item.content = edge if topic == "/tf" else item.content | {"pose": bad}
 
 
 @of(reference=1.0)

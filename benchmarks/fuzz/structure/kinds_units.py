@@ -96,18 +96,8 @@ def stamp_unit(start: Start, draft: Draft) -> None:
 
 
 def limits(start: Start, draft: Draft) -> None:
-    low, high = start.pick(
-        (
-            (0.0, 0.0),
-            (0.05, np.inf),
-            (np.nan, np.nan),
-            (0.05, 1e6),
-            (12.0, 0.05),
-            (0.0, 12.0),
-            (-1.0, 12.0),
-            (0.05, 3.0),
-        )
-    )
+    usual = ((0.0, 0.0), (0.05, np.inf), (np.nan, np.nan), (0.05, 1e6))
+    low, high = start.pick((*usual, (12.0, 0.05), (0.0, 12.0), (-1.0, 12.0), (0.05, 3.0)))
     for item in draft.scans:
         item.content |= {"range_min": low, "range_max": high}
 

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares as solve
 from scipy.signal import lfilter
 
 from benchmarks.hidden_effects.entrants.simulated import MAX_RESIDUAL, Scans
+from benchmarks.hidden_effects.geometry import interpolated
 from benchmarks.hidden_effects.library import MATERIALITY
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.seen import Seen, read_case
@@ -25,15 +26,8 @@ STEP = 0.01
 WINDOW = 1.0
 """[s] over which wheels and poses are compared."""
 SCAN_PARAMETERS = (
-    "range_bias",
-    "range_scale",
-    "range_drift",
-    "mount_yaw",
-    "dx",
-    "dy",
-    "latency",
-    "map_scale",
-)
+    "range_bias", "range_scale", "range_drift", "mount_yaw", "dx", "dy", "latency", "map_scale",
+)  # fmt: skip
 KEYS = {
     "range_bias": "b", "range_scale": "s", "range_drift": "b1", "mount_yaw": "delta", "latency": "tau", "map_scale": "s",
     "wheel_radius": "s", "wheel_base": "s", "wheel_radius_diff": "s", "actuator_lag": "tau", "dead_time": "L",
@@ -129,21 +123,14 @@ def _fit_motors(seen: Seen) -> Fitted:
     """Fit lag and dead time of the motors to the twists."""
     t = np.arange(seen.cmd_stamps[0], seen.cmd_stamps[-1], STEP)
     tau0, delay0 = float(seen.robot["actuators"]["tau"]), float(seen.robot["actuators"]["delay"])
-    measured = np.stack([np.interp(t, seen.odom_stamps, c) for c in seen.twists.T], axis=1)
+    measured = interpolated(t, seen.odom_stamps, seen.twists)
+    middle = seen.cmd_stamps + np.median(np.diff(seen.cmd_stamps)) / 2
     weight = np.array([1 / seen.robot["wheels"]["sigma_v"], 1 / seen.robot["wheels"]["sigma_omega"]])
     half = float(np.median(np.diff(seen.odom_stamps))) / 2
 
     def residual(p: Floats) -> Floats:
         keep = math.exp(-STEP / max(tau0 + p[0], 1e-3))
-        asked = np.stack(
-            [
-                np.interp(
-                    t - delay0 - p[1] - half, seen.cmd_stamps + np.median(np.diff(seen.cmd_stamps)) / 2, c
-                )
-                for c in seen.commands.T
-            ],
-            axis=1,
-        )
+        asked = interpolated(t - delay0 - p[1] - half, middle, seen.commands)
         return ((measured - lfilter([1 - keep], [1, -keep], asked, axis=0)) * weight).ravel()
 
     got = solve(residual, np.zeros(2), diff_step=1e-3, x_scale=0.01, max_nfev=20)

@@ -55,15 +55,12 @@ def truth_of(
         mark = _odometry_mark(setup, effect, effects, driven)
     else:
         mark = _drive_mark(setup, effect, effects, driven)
-    parameters = dict(effect.parameters)
-    ratio = ratio_of(effect, context)
+    parameters, ratio = dict(effect.parameters), ratio_of(effect, context)
     if effect.name == "people":
         parameters["p"] = mark["changed_share"]
         ratio = mark["changed_share"] / MATERIALITY["people"]
-    if effect.name == "range_noise" or effect.name in ("people", "random_outliers"):
-        is_marked = mark["changed_share"] >= 0.002 or mark["rmse_over_sigma"] >= LEAST_RMSE
-    else:
-        is_marked = mark["changed_share"] >= LEAST_CHANGED or mark["rmse_over_sigma"] >= LEAST_RMSE
+    least = 0.002 if effect.name in ("range_noise", "people", "random_outliers") else LEAST_CHANGED
+    is_marked = mark["changed_share"] >= least or mark["rmse_over_sigma"] >= LEAST_RMSE
     return {
         "name": effect.name,
         "channel": channel,
@@ -116,26 +113,21 @@ def _odometry_mark(
     stamps = np.arange(COMMAND_PERIOD, RUN_DURATION - 1e-9, COMMAND_PERIOD)
     sigma = np.array([setup.robot.sigma_v, setup.robot.sigma_omega])
     if effect.name == "wheel_slip":
-        inside = np.hypot(*(driven.at(stamps)[:, :2] - np.array(effect.xy)).T) < float(
-            effect.parameters["r"] or 0
-        )
+        away = np.hypot(*(driven.at(stamps)[:, :2] - np.array(effect.xy)).T)
+        inside = away < float(effect.parameters["r"] or 0)
         twists = odometry(driven, [], stamps, setup.robot.wheel_base)
         return _mark(twists * inside[:, None] * float(effect.parameters["s"] or 0), sigma)
     rest = [e for e in effects if e is not effect]
-    change = odometry(driven, effects, stamps, setup.robot.wheel_base) - odometry(
-        driven, rest, stamps, setup.robot.wheel_base
-    )
-    return _mark(change, sigma)
+    after, before = (odometry(driven, some, stamps, setup.robot.wheel_base) for some in (effects, rest))
+    return _mark(after - before, sigma)
 
 
 def _drive_mark(
     setup: CaseSetup, effect: HiddenEffect, effects: Sequence[HiddenEffect], driven: TrueDrive
 ) -> dict[str, float]:
     rest = [e for e in effects if e is not effect]
-    change = _respond(driven, motors_of(setup.robot, effects)) - _respond(
-        driven, motors_of(setup.robot, rest)
-    )
-    return _mark(change, np.array([setup.robot.sigma_v, setup.robot.sigma_omega]))
+    after, before = (_respond(driven, motors_of(setup.robot, some)) for some in (effects, rest))
+    return _mark(after - before, np.array([setup.robot.sigma_v, setup.robot.sigma_omega]))
 
 
 def _respond(driven: TrueDrive, motors: TrueMotors) -> Floats:
@@ -171,21 +163,10 @@ INCOMPATIBLE_GROUPS = [
 """Effects that may not be hidden together: each explains most of the other."""
 INCOMPATIBLE_WITH = {
     "sonar_cone": {
-        "mixed_pixels",
-        "glass",
-        "mirror",
-        "black_surface",
-        "incidence_dropout",
-        "tilt",
-        "people",
-        "moved_obstacle",
-        "missing_obstacle",
-        "unmapped_obstacle",
-        "mount_yaw",
-        "scan_skew",
-        "max_range",
+        "mixed_pixels", "glass", "mirror", "black_surface", "incidence_dropout", "tilt", "people", "moved_obstacle",
+        "missing_obstacle", "unmapped_obstacle", "mount_yaw", "scan_skew", "max_range",
     }
-}
+}  # fmt: skip
 
 
 def make(spec: Spec) -> Case:
@@ -238,9 +219,8 @@ def _effects(
     if spec.suite == "none":
         return []
     if spec.suite == "foreign":
-        order = np.random.default_rng([ROOT_SEED, STREAMS[spec.kinds], 77]).permutation(
-            foreign.KINDS[spec.kinds]
-        )
+        turns = np.random.default_rng([ROOT_SEED, STREAMS[spec.kinds], 77])
+        order = turns.permutation(foreign.KINDS[spec.kinds])
         name = spec.effect or str(order[spec.index % len(order)])
         tools = {
             "room": context.room,
@@ -254,11 +234,9 @@ def _effects(
         row, turn = divmod(spec.index, len(order))
         # every block of 35 has all strengths; after 12 blocks every effect has had each, clean and dirty
         stratum = STRATUM_ORDER[(row + row // len(STRATUM_ORDER) + turn // 2) % len(STRATUM_ORDER)]
-        strength = (
-            spec.strength
-            if spec.strength is not None
-            else float((stratum + rng.random()) / len(STRATUM_ORDER))
-        )
+        strength = spec.strength
+        if strength is None:
+            strength = float((stratum + rng.random()) / len(STRATUM_ORDER))
         return [draw(name, strength, context, rng)]
     return _several(2 if spec.suite == "pairs" else 3, context, setup, nominal, rng)
 
