@@ -109,7 +109,7 @@ def diagnose(
 
       sensorgraph diagnose monday.log friday.log -o wheels
     """
-    from sensorgraph.cli.inputs import read_options, with_poses, with_robot
+    from sensorgraph.cli.inputs import read_options, read_run, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
@@ -118,7 +118,7 @@ def diagnose(
 
     _check(runs, simulation, commissioning, out, poses, why)
     reading = read_options(topic, no_return, robot, heights)
-    loaded = [_read(path, reading) for path in runs]
+    loaded = [read_run(path, reading) for path in runs]
     if arena is None and not (effects or commissioning or simulation) and _have_no_arena(loaded):
         _drive_alone(loaded, runs, robot, out, poses, reading, why)
         return
@@ -133,10 +133,10 @@ def diagnose(
     loaded = [posed(run, path) for run, path in zip(loaded, runs, strict=True)]
     _print_ray_orders(runs, loaded, machine)
     known = _known(effects, walls)
-    baseline = _commission([_read(path, reading) for path in commissioning or ()], walls, machine, seed)
+    baseline = _commission([read_run(path, reading) for path in commissioning or ()], walls, machine, seed)
     options: dict[str, Any] = {"known": known, "seed": seed, "force": force, "progress": progress}
     if simulation is not None:
-        options |= {"simulation": posed(_read(simulation, reading), simulation), "name": str(simulation)}
+        options |= {"simulation": posed(read_run(simulation, reading), simulation), "name": str(simulation)}
     driving = driving_of(loaded[0], machine, name=runs[0].name, progress=progress)
     finding = (diagnose_run if simulation is None else diagnose_against_simulation)(
         loaded.pop(0),  # free the scans of a long log as soon as they are no longer needed
@@ -291,14 +291,6 @@ def _check_simulation(
         )
     if simulation.exists() and any(p.exists() and p.samefile(simulation) for p in runs):
         raise SensorgraphError(f"{simulation} is given as its own simulation; give a log of your simulator")
-
-
-def _read(path: Path, reading: Mapping[str, Any]) -> Run:
-    from logs import read
-    from sensorgraph.cli.progress import reading_bar
-
-    with reading_bar() as tick:
-        return read(path, **reading, progress=tick)
 
 
 def _place(run: Run, name: Path, arena: str | None, robot: Path | None) -> tuple[Arena, Robot]:

@@ -17,7 +17,7 @@ from sensorgraph.cli.options import (
     Slice,
     Topics,
 )
-from sensorgraph.cli.progress import progress, reading_bar
+from sensorgraph.cli.progress import progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -103,15 +103,14 @@ def evaluate(
     """
     from typing import cast
 
-    from logs import read
     from sensorgraph.cli.inputs import (
         check_output,
         check_poses,
         print_log_notes,
         print_ray_order,
         read_options,
+        read_run,
         with_poses_of_graph,
-        with_robot,
         write_json,
     )
     from sensorgraph.errors import SensorgraphError
@@ -126,10 +125,8 @@ def evaluate(
         raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
     value = cast("Point | None", point)
     model = Sensorgraph.load(graph)
-    with reading_bar() as tick:
-        reading = read_options(topic, no_return, robot, heights)
-        log = read(run, **reading, progress=tick)
-    log = with_poses_of_graph(with_robot(log, str(run), robot), run, poses, model, str(graph), reading)
+    reading = read_options(topic, no_return, robot, heights)
+    log = with_poses_of_graph(read_run(run, reading, robot), run, poses, model, str(graph), reading)
     print_ray_order(str(run), log.sensor.bearings, str(graph), model.sensor.bearings)
     with progress("evaluating", "scans") as tick:
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)

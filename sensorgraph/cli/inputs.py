@@ -80,6 +80,23 @@ def read_options(
     return {"topics": roles, "no_return": no_return, "mounts": _mounts_of(robot), **_parse_slice(heights)}
 
 
+def read_run(
+    path: Path, reading: Mapping[str, Any], robot: Path | None = None, *, name: str | None = None
+) -> Run:
+    """Read a log with a progress bar, and with what the robot states; `reading` is from `read_options`.
+
+    Parameters
+    ----------
+    name : Name of the log in messages; by default its path.
+    """
+    from logs import read
+    from sensorgraph.cli.progress import reading_bar
+
+    with reading_bar() as tick:
+        run = read(path, **reading, progress=tick)
+    return with_robot(run, name or str(path), robot)
+
+
 def _mounts_of(robot: Path | None) -> Mapping[str, Floats]:
     """Return the mount of each named sensor of a robot.yaml, for logs without transforms."""
     from sensorgraph.world.robot import load_robot

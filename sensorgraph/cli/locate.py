@@ -78,16 +78,16 @@ def locate(
 
       sensorgraph locate monday.clf.bz2 --arena lab.sensorgraph --json monday.json --picture monday.png
     """
-    from logs import read, write
+    from logs import write
     from logs.files import atomic_file
     from sensorgraph.cli.inputs import (
         check_output,
         print_log_notes,
         read_options,
-        with_robot,
+        read_run,
         write_json,
     )
-    from sensorgraph.cli.progress import progress, reading_bar
+    from sensorgraph.cli.progress import progress
     from sensorgraph.localization.locate import LocatedRun, poses_csv, summary, summary_lines
     from sensorgraph.localization.locate import locate as locate_run
     from sensorgraph.show.figures.localization import localization_picture
@@ -96,9 +96,7 @@ def locate(
         if path is not None:
             check_output(path, run, suffix=suffix)
     place = None if arena is None else _place(arena)
-    with reading_bar() as tick:
-        log = read(run, **read_options(topic, no_return, robot, heights), progress=tick)
-    log = with_robot(log, str(run), robot)
+    log = read_run(run, read_options(topic, no_return, robot, heights), robot)
     found = locate_run(log, place, name=arena or "the map", progress=progress)
     print_log_notes(log)
     for line in summary_lines(found):

@@ -61,17 +61,16 @@ def review(
 
       sensorgraph review intel.log.gz --graph intel.sensorgraph -o intel.rrd && rerun intel.rrd
     """
-    from logs import read
     from sensorgraph.cli.inputs import (
         check_output,
         check_poses,
         print_log_notes,
         read_options,
+        read_run,
         with_poses,
         with_poses_of_graph,
-        with_robot,
     )
-    from sensorgraph.cli.progress import progress, reading_bar
+    from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import arena_in, load_arena
     from sensorgraph.show.rays import chosen_ray
@@ -80,10 +79,8 @@ def review(
 
     check_poses(poses)
     check_output(out, run, *(path for path in (graph,) if path is not None), suffix=".rrd")
-    with reading_bar() as tick:
-        reading = read_options(topic, no_return, robot, heights)
-        log = read(run, **reading, progress=tick)
-    log = with_robot(log, run.name, robot)
+    reading = read_options(topic, no_return, robot, heights)
+    log = read_run(run, reading, robot, name=run.name)
     walls = load_arena(arena) if arena is not None else arena_in(log)
     model = None if graph is None else Sensorgraph.load(graph)
     if model is not None:

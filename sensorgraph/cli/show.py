@@ -117,15 +117,11 @@ def show(
 
 def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topics: list[str]) -> None:
     """Draw a graph, with the residuals of a run if there is one."""
-    from logs import parse_topics, read
-    from sensorgraph.cli.inputs import check_output
-    from sensorgraph.cli.progress import reading_bar
+    from logs import parse_topics
+    from sensorgraph.cli.inputs import check_output, read_run
     from sensorgraph.show.figures.sensorgraph import graph_picture
 
     check_output(figure, graph, *(path for path in (run,) if path is not None), suffix=".png")
-    log = None
-    if run is not None:
-        with reading_bar() as tick:
-            log = read(run, topics=parse_topics(topics), progress=tick)
+    log = None if run is None else read_run(run, {"topics": parse_topics(topics)})
     graph_picture(model, figure, run=log)
     typer.echo(f"wrote {figure}")
