@@ -17,6 +17,11 @@ RARE_TIMES: Mapping[str, int | float] = {"interlaced_sweeps": 1, "sweep_period":
 """Fields of `RangeSensor` that files contain only if they differ from these defaults."""
 
 
+def median_step(values: Floats | NDArray[np.int64], otherwise: float) -> float:
+    """Return the median step of stamps or bearings (n,), in their unit; `otherwise` for fewer than two."""
+    return float(np.median(np.diff(values))) if len(values) > 1 else otherwise
+
+
 def _empty(*shape: int) -> Floats:
     return np.zeros(shape, dtype=np.float64)
 

@@ -15,6 +15,7 @@ from logs.ros import cdr
 from logs.ros.poses import FIXED_FRAMES, MAP_FRAMES, base_of
 from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, logged_times
 from logs.ros.transform_tree import Edge, TransformTree
+from logs.sensor import median_step
 from logs.signals import Signal
 from logs.sweep import LIMITS
 from logs.transforms import Stamps
@@ -149,7 +150,7 @@ def _signals(topic: Topic) -> list[tuple[str, Signal, Ints]]:
 
 def _duration(stated: Floats, logged: Stamps) -> int:
     """Return the duration [ns] of the scans by their time increments [s]; 0 if the log times contradict it."""
-    period = float(np.median(np.diff(logged))) / 1e9 if len(logged) > 1 else 0.0
+    period = median_step(logged, 0.0) / 1e9
     duration = float(np.median(np.abs(stated))) if len(stated) else 0.0
     return round(1e9 * duration) if duration <= LIMITS.max_periods * period else 0
 

@@ -13,6 +13,7 @@ import numpy as np
 from logs.motion import ray_poses
 from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
 from logs.run_warnings import warnings_of
+from logs.sensor import median_step
 from logs.stream import LogStream
 from sensorgraph.building.robot_parts import rays_on_robot, robot_parts_text
 from sensorgraph.building.split import held_out
@@ -176,7 +177,7 @@ class _LogIntake:
     def _time(self, stamps: Floats, use: Bools) -> Floats:
         """Return stamp [s] and stretch number (n_used, 2); a stretch continues from one piece to the next."""
         if self.period is None:
-            self.period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.inf
+            self.period = median_step(stamps, np.inf)
         number = stretches(stamps, use, self.period)
         if len(number) and self.end is not None and use[0]:
             follows = stamps[0] - self.end <= MAX_STEP * self.period

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.sensor import median_step
 from sensorgraph.effects.interfaces import Proposal, Residuals
 from sensorgraph.effects.places import named_walls, obstacles
 from sensorgraph.types import Bools, Floats, Ints
@@ -164,7 +165,7 @@ def strangest_obstacles(residuals: Residuals, odd: Bools | None = None) -> list[
 def half_spacing(residuals: Residuals) -> float:
     """Return half the angle [rad] between neighbouring rays."""
     bearings = residuals.sensor.bearings
-    return 0.5 * float(np.median(np.diff(bearings))) if len(bearings) > 1 else 0.01
+    return 0.5 * median_step(bearings, 0.02)
 
 
 def share_of_readings(residuals: Residuals, odd: Bools, nats: float) -> list[Proposal]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from logs.sensor import median_step
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import PROPOSAL
@@ -128,7 +129,7 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     bearings = exposure.sensor.bearings
     first = np.arctan2(beams.uy[some, 0], beams.ux[some, 0])[:, None]
     turn = (np.arctan2(dy, dx) - first) % (2 * np.pi)
-    width = float(np.median(np.diff(bearings))) if len(bearings) > 1 else 1.0
+    width = median_step(bearings, 1.0)
     ray = np.round(turn / width).astype(np.intp) if width > 0 else np.full(turn.shape, len(bearings))
     inside = ray < len(bearings)
     far = np.take_along_axis(exposure.reading[some], np.where(inside, ray, 0), axis=1)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs.run import Pairing, Run
+from logs.sensor import median_step
 from sensorgraph.evaluation.metrics import Metrics, MetricSums
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Prediction
@@ -39,7 +40,7 @@ def sequence_predictions(
     if not isinstance(model, RayNarmax):
         return {}
     paired = pairing.paired
-    period = float(np.median(np.diff(run.stamps))) if run.n_scans > 1 else np.inf
+    period = median_step(run.stamps, np.inf)
     motion = ScanSequence(
         poses=poses[paired], stamps=run.stamps[paired], sequence=stretches(run.stamps, paired, period)
     )

@@ -19,6 +19,7 @@ from logs.errors import LogError
 from logs.formats import table
 from logs.formats.text import first_bytes, parses_as_number, read_lines
 from logs.run import RangeSensor, Run, pair
+from logs.sensor import median_step
 from planners.arena import wrap
 from robotmodic_ident import Record
 from sensorgraph.errors import SensorgraphError
@@ -78,7 +79,7 @@ def rays_of(sensor: RangeSensor, name: str) -> Ints:
     low, high = float(found[1]), float(found[2] or found[1])
     if high < low:
         raise SensorgraphError(f"{name} has its larger angle first; write L{high:g}-{low:g}")
-    step = float(np.median(np.diff(degrees))) if len(degrees) > 1 else 1.0
+    step = median_step(degrees, 1.0)
     if found[2] is None:
         nearest = int(np.abs(degrees - low).argmin())
         chosen = np.array([nearest] if abs(degrees[nearest] - low) <= max(step, 1e-6) else [], dtype=np.intp)
@@ -113,7 +114,7 @@ def signals_of_run(run: Run, names: Sequence[str], *, every: int = 1) -> SignalD
     new = np.diff(stamps, prepend=-np.inf) > 0  # of scans with equal stamps, use the first
     values = {name: _signal(run, name, every)[new] for name in names}
     stamps = stamps[new]
-    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else None
+    period = median_step(stamps, np.nan) if len(stamps) > 1 else None
     names_of = variables(names)
     record = Record(signals={key: values[name] for key, name in names_of.items()}, stamps=stamps)
     held = {
@@ -149,7 +150,7 @@ def _signal(run: Run, name: str, every: int) -> Floats:
 
 def _command(run: Run, column: int, stamps: Floats) -> Floats:
     """Return the command valid just after each stamp (n,)."""
-    reaction = 0.5 * float(np.median(np.diff(run.cmd_stamps))) if len(run.cmd_stamps) > 1 else 0.0
+    reaction = 0.5 * median_step(run.cmd_stamps, 0.0)
     last = np.searchsorted(run.cmd_stamps, stamps + reaction, side="right") - 1
     out: Floats = run.commands[np.maximum(last, 0), column].astype(np.float64)
     out[(last < 0) | (stamps > run.cmd_stamps[-1] + MAX_COMMAND_AGE)] = np.nan
@@ -196,7 +197,7 @@ def signals_of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Sig
                 f"{path}: line {line}: column t does not increase; sort the rows, or separate records by a column `record`"
             )
         if stamps is not None and len(stamps) > 1:
-            periods.append(float(np.median(np.diff(stamps))))
+            periods.append(median_step(stamps, np.nan))
         records.append(Record(signals={v: values[n][mine] for v, n in names_of.items()}, stamps=stamps))
     return SignalData(
         records=records, names=names_of, period=float(np.median(periods)) if periods else None,
@@ -224,7 +225,7 @@ def _steps(record: Record) -> Floats:
     if record.stamps is None or len(record) < 2:
         return np.empty(0)
     steps = np.concatenate([np.diff(record.stamps[piece]) for piece in record.segments()])
-    return steps / np.median(np.diff(record.stamps))
+    return steps / median_step(record.stamps, np.nan)
 
 
 def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

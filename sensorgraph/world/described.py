@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from logs.run import RangeSensor, Run
+from logs.sensor import median_step
 from planners.yaml_text import parse_yaml
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.quantities import ROUNDED
@@ -68,7 +69,7 @@ def differences(run: Run, robot: Robot, *, robot_name: str) -> tuple[str, str]:
 def _are_as_stated(robot: Robot, bearings: Floats) -> bool:
     """Return whether rays (n_rays,) [rad] are as robot.yaml states them, apart from rounded angles."""
     described, n = robot.sensor.bearings, len(bearings)
-    step = 2 * np.pi if n < 2 else float(np.median(np.diff(bearings)))
+    step = median_step(bearings, 2 * np.pi)
     tolerance = max(SAME_BEARING, min(step / 2, ROUNDED))
     if _states_all_rays(robot):
         return ray_order(bearings, described, tolerance=tolerance) is not None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.sensor import median_step
 from robotmodic_ident import Scale, Terms
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import TrainingScans
@@ -79,7 +80,7 @@ def ray_spacing(data: TrainingRows, bearings: Floats, neighbours: int) -> int:
         return 1
     row = data.rows
     turn = np.abs(np.pi - (np.pi - (data.motion.poses[row, 2] - data.motion.poses[row - 1, 2])) % (2 * np.pi))
-    farthest = float(np.quantile(turn, NARMAX.turn_quantile)) / float(np.median(np.diff(bearings)))
+    farthest = float(np.quantile(turn, NARMAX.turn_quantile)) / median_step(bearings, np.inf)
     most = max(1, min(NARMAX.max_spacing, (len(bearings) - 1) // neighbours))
     return int(np.clip(np.ceil(farthest / neighbours), 1, most))
 

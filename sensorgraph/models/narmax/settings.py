@@ -32,8 +32,6 @@ class NarmaxSettings:
     """Maximum number of shared candidates; more lags or a higher degree would take too long."""
     max_search_rows: int = 20_000
     """Maximum number of scans in the search for terms, evenly spread; coefficients are estimated on all scans."""
-    rows_per_block: int = 2048
-    """Number of rows multiplied at a time; it limits memory."""
     rays_per_block: int = 32
     """Number of rays processed at a time; it limits memory."""
     rows_per_term: int = 5
