@@ -17,7 +17,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
+from sensorgraph.models.faces.ray_march import FaceSet, bucket_grid, crossed_faces, new_march
 from sensorgraph.planning.views import choose_views
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
@@ -159,8 +159,8 @@ def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> Non
         neighbour=np.full(2 * k, -1, dtype=np.intp),
     )
     buckets = bucket_grid(faces)
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    f, j = np.empty(CANDIDATE_SLOTS, dtype=np.int64), np.empty(CANDIDATE_SLOTS, dtype=np.int64)
+    work = new_march()
+    r, f, j, _ = work
     march = numba.njit(lambda *arguments: crossed_faces(*arguments))  # only kernels call it
     crossings = 0
     for _ in range(400):
@@ -170,7 +170,7 @@ def test_march_lists_the_crossings_that_all_faces_against_all_rays_give() -> Non
         rho = (faces.offsets - normals @ q) / den
         s = (tangents * (q + rho[:, None] * u)).sum(axis=1)
         seen = np.flatnonzero((den < -1e-6) & (rho > 0) & (rho < 9) & (np.abs(s - centre) < half))
-        n = march(q[0], q[1], u[0], u[1], 9.0, 0.0, faces, buckets, r, f, j, t)
+        n = march(q[0], q[1], u[0], u[1], 9.0, 0.0, faces, buckets, work)
         inside = [i for i in range(n) if j[i] == 2 * f[i]]  # not only in the margin
         assert f[inside].tolist() == seen[np.argsort(rho[seen])].tolist()
         np.testing.assert_allclose(r[inside], np.sort(rho[seen]), rtol=1e-12)

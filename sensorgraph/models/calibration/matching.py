@@ -17,9 +17,9 @@ from sensorgraph.models.calibration.ray_terms import (
     incidence_terms,
 )
 from sensorgraph.models.calibration.settings import CALIBRATION
-from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
+from sensorgraph.models.faces.ray_march import FaceSet, bucket_grid, crossed_faces, new_march
 from sensorgraph.models.faces.reduction import RaySample
-from sensorgraph.models.faces.visibility import GATE, ReturnNoise, variance
+from sensorgraph.models.faces.visibility import GATE, RayArrays, ReturnNoise, variance
 from sensorgraph.types import Bools, Floats, Ints
 
 MATCHES = CALIBRATION.matches
@@ -120,14 +120,14 @@ def match_readings(
     readings: Readings, lasers: Floats, terms: RayTerms, faces: FaceSet, noise: ReturnNoise, mean_bias: float
 ) -> Matches:
     """Find the face of every reading and correct its range; `mean_bias` is S [m] for readings without a face."""
-    origins, directions = directions_of(readings, lasers)
+    rays = RayArrays(*directions_of(readings, lasers), readings.ranges, readings.range_max, np.zeros(0))
     n = len(readings)
     values = np.zeros((n, 7))
     values[:, 0] = readings.ranges
     face = np.full(n, -1, dtype=np.intp)
     _match_readings(
-        origins, directions, readings.ranges, readings.ray, readings.range_max, faces, bucket_grid(faces), noise.array,
-        terms.constant, terms.slope, terms.incidence, mean_bias, face, values,
+        rays, readings.ray, faces, bucket_grid(faces), noise.array, (terms.constant, terms.slope, terms.incidence),
+        mean_bias, new_march(), face, values,
     )  # fmt: skip
     columns = np.ascontiguousarray(values.T)
     return Matches(
@@ -164,24 +164,13 @@ def range_change(matches: Matches, shift: float) -> Floats:
 
 @kernel
 def _match_readings(
-    origins: Any,
-    directions: Any,
-    ranges: Any,
-    ray: Any,
-    range_max: Any,
-    faces: Any,
-    buckets: Any,
-    noise: Any,
-    constant: Any,
-    slope: Any,
-    s: Any,
-    mean_bias: Any,
-    face: Any,
+    rays: Any, ray: Any, faces: Any, buckets: Any, noise: Any, terms: Any, mean_bias: Any, march: Any, face: Any,
     values: Any,
-) -> Any:
+) -> Any:  # fmt: skip
     normals, _, first, _, levels, _, _ = faces
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
+    origins, directions, ranges, range_max, _ = rays
+    constant, slope, s = terms
+    r, k, j, t = march
     for i in range(len(ranges)):
         z = ranges[i]
         if z > 1e300:
@@ -190,7 +179,7 @@ def _match_readings(
         gain = 1.0 + slope[ray[i]]
         base = (z - constant[ray[i]]) / gain
         n = crossed_faces(
-            origins[i, 0], origins[i, 1], ux, uy, base + MAX_RAY_BIAS, 0.0, faces, buckets, r, k, j, t
+            origins[i, 0], origins[i, 1], ux, uy, base + MAX_RAY_BIAS, 0.0, faces, buckets, march
         )
         survival, total, best, at, best_e, best_var = 1.0, 0.0, 0.0, -1, 0.0, 1.0
         before = 1.0

@@ -13,22 +13,14 @@ import numpy as np
 
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.blurred_edges import blur_edges
-from sensorgraph.models.faces.ray_march import (
-    CANDIDATE_SLOTS,
-    MIN_VISIBILITY,
-    FaceSet,
-    bucket_grid,
-    crossed_faces,
-)
+from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
     MIN_SQUARED_COSINE,
-    REACH_MARGIN,
-    REACH_SIGMAS,
     Rays,
     ReturnNoise,
+    new_stop_work,
     stop_probabilities,
-    weights_of,
 )
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -95,16 +87,7 @@ def crossings_of(
     """List the crossings of rays with faces; the errors of refined poses `pose_errors` [m, rad] add to the noise."""
     xy, yaw = np.hypot([noise.sigma_xy, noise.sigma_yaw], pose_errors)
     face, t, stop, weight, error = _list_crossings(
-        rays.origins,
-        rays.directions,
-        rays.ranges,
-        rays.range_max,
-        weights_of(rays),
-        faces,
-        bucket_grid(faces),
-        noise.array,
-        xy**2,
-        yaw**2,
+        rays.arrays, faces, bucket_grid(faces), noise.array, xy**2, yaw**2, new_stop_work()
     )
     return sorted_crossings(face, t, stop, weight, error, faces.n_faces)
 
@@ -169,23 +152,18 @@ def joined_faces(a: FaceSet, b: FaceSet) -> FaceSet:
 
 @kernel
 def _list_crossings(
-    origins: Any, directions: Any, ranges: Any, range_max: Any, weights: Any, faces: Any, buckets: Any, noise: Any,
-    var_xy: Any, var_yaw: Any,
-) -> Any:  # fmt: skip
+    rays: Any, faces: Any, buckets: Any, noise: Any, var_xy: Any, var_yaw: Any, work: Any
+) -> Any:
     """List all crossings: face, abscissa, P(stop | reached), P(reached) times the ray's weight, standard error."""
-    size = 3 * len(ranges) + 64
+    size = 3 * len(rays.ranges) + 64
     face, rows = np.empty(size, np.int32), np.empty((4, size))
     at, stop, weight, error = rows[0], rows[1], rows[2], rows[3]
-    normals = faces[0]
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
-    gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+    normals, weights = faces[0], rays.weights
+    march, gamma, survive = work
+    r, k, _, t = march
     count = 0
-    for i in range(len(ranges)):
-        qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
-        reach = range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
-        n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        _, stray = stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+    for i in range(len(rays.ranges)):
+        n, _, stray = stop_probabilities(i, rays, faces, buckets, noise, work)
         if stray > MAX_STRAY:
             continue
         for m in range(n):
@@ -199,7 +177,7 @@ def _list_crossings(
                     more[0, c], more[1, c], more[2, c], more[3, c] = at[c], stop[c], weight[c], error[c]
                 face, at, stop, weight, error = more_faces, more[0], more[1], more[2], more[3]
             face[count], at[count] = k[m], t[m]
-            den = normals[k[m], 0] * ux + normals[k[m], 1] * uy
+            den = normals[k[m], 0] * rays.directions[i, 0] + normals[k[m], 1] * rays.directions[i, 1]
             error[count] = np.sqrt((var_xy + r[m] * r[m] * var_yaw) / max(den * den, MIN_SQUARED_COSINE))
             stop[count] = min(gamma[m] / survive[m], 1.0)
             weight[count] = survive[m] * (weights[i] if len(weights) else 1.0)

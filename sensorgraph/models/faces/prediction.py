@@ -21,7 +21,9 @@ from sensorgraph.models.faces.ray_march import (
     MAX_CANDIDATES,
     BucketGrid,
     FaceSet,
+    March,
     crossed_faces,
+    new_march,
 )
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import variance
@@ -66,12 +68,10 @@ class LaserBeams(NamedTuple):
     """Whether there are ray terms."""
 
 
-def new_candidates() -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+def new_candidates() -> tuple[March, tuple[Any, ...]]:
     """Return memory for one ray: what `crossed_faces` fills, and what `ray_mixture` fills."""
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
     rho, w, s = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    return (r, k, j, t), (rho, w, s, np.empty(CANDIDATE_SLOTS, np.int64))
+    return new_march(), (rho, w, s, np.empty(CANDIDATE_SLOTS, np.int64))
 
 
 @inlined_kernel
@@ -87,7 +87,7 @@ def ray_mixture(i: Any, b: Any, beams: Any, work: Any, mixture: Any) -> Any:
 
     Parameters
     ----------
-    work : Arrays of length `CANDIDATE_SLOTS`, filled by `crossed_faces`.
+    work : `March`, filled.
     mixture : Arrays of length `CANDIDATE_SLOTS`, filled: range [m], weight, standard deviation [m], face.
     """
     normals, _, first, edges, levels, blur, neighbour = beams.faces
@@ -97,7 +97,7 @@ def ray_mixture(i: Any, b: Any, beams: Any, work: Any, mixture: Any) -> Any:
     is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # there is noise of poses
     ux, uy = direction(i, b, beams)
     n = crossed_faces(
-        beams.x[i], beams.y[i], ux, uy, beams.range_max, MIN_SURVIVAL, beams.faces, beams.buckets, r, k, j, t
+        beams.x[i], beams.y[i], ux, uy, beams.range_max, MIN_SURVIVAL, beams.faces, beams.buckets, work
     )
     survival, c = 1.0, 0
     for m in range(n):

@@ -53,6 +53,25 @@ class FaceSet(NamedTuple):
         return np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
 
 
+class March(NamedTuple):
+    """Faces that a ray crosses, nearest first; arrays of length `CANDIDATE_SLOTS`."""
+
+    r: Floats
+    """[m] Ranges. The last entry is the range at which the ray meets a face from behind."""
+    k: Ints
+    """Faces."""
+    j: Ints
+    """Edges before the crossings."""
+    t: Floats
+    """[m] Abscissae of the crossings."""
+
+
+def new_march() -> March:
+    """Return memory for the crossings of one ray."""
+    n = CANDIDATE_SLOTS
+    return March(np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n))
+
+
 class BucketGrid(NamedTuple):
     """Faces that pass through each bucket of a grid."""
 
@@ -168,29 +187,18 @@ def edge_before(edges: Any, a: Any, b: Any, t: Any) -> Any:
 
 @inlined_kernel
 def crossed_faces(
-    qx: Any,
-    qy: Any,
-    ux: Any,
-    uy: Any,
-    reach: Any,
-    least: Any,
-    faces: Any,
-    buckets: Any,
-    r: Any,
-    k: Any,
-    j: Any,
-    t: Any,
+    qx: Any, qy: Any, ux: Any, uy: Any, reach: Any, least: Any, faces: Any, buckets: Any, march: Any
 ) -> Any:
     """List the faces that a ray crosses up to `reach` [m], nearest first; return their number.
 
-    Fills range r, face k, edge j before the crossing and abscissa t, arrays of length `CANDIDATE_SLOTS`. Stops early
-    when the survival probability is below `least`. The entry r[MAX_CANDIDATES] is the range at which the ray
-    meets a face from behind, which is only possible from unobserved space.
+    Fills a `March`. Stops early when the survival probability is below `least`. The entry r[MAX_CANDIDATES] is the range
+    at which the ray meets a face from behind, which is only possible from unobserved space.
 
     The function is one loop for speed, since every ray of every prediction runs through it.
     """
     normals, offsets, first, edges, levels, _, _ = faces
     origin, shape, start, members = buckets
+    r, k, j, t = march
     nx, ny = shape
     n = 0
     r[MAX_CANDIDATES] = 1e300

@@ -8,17 +8,14 @@ import numpy as np
 
 from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.faces.forward_selection import Lines
-from sensorgraph.models.faces.ray_march import CANDIDATE_SLOTS, FaceSet, bucket_grid, crossed_faces
+from sensorgraph.models.faces.ray_march import FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
-    FIT_GATE,
-    MIN_COSINE,
-    REACH_MARGIN,
-    REACH_SIGMAS,
     Rays,
     ReturnNoise,
+    hit_of,
+    new_stop_work,
     stop_probabilities,
-    variance,
     visible_lines,
 )
 from sensorgraph.types import Floats
@@ -31,9 +28,7 @@ MIN_HIT_SHARE = 0.5
 
 def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
     """Return the lines of all faces; faces whose hits bend or step are divided into two or more lines."""
-    face, s, across, weight = _hits(
-        rays.origins, rays.directions, rays.ranges, rays.range_max, faces, bucket_grid(faces), noise.array
-    )
+    face, s, across, weight = _hits(rays.arrays, faces, bucket_grid(faces), noise.array, new_stop_work())
     order = np.lexsort((s, face))
     face, s, across, weight = face[order], s[order], across[order], weight[order]
     bounds = np.searchsorted(face, np.arange(faces.n_faces + 1))
@@ -141,38 +136,23 @@ def _explained(m: Any) -> Any:
 
 
 @kernel
-def _hits(
-    origins: Any, directions: Any, ranges: Any, range_max: Any, faces: Any, buckets: Any, noise: Any
-) -> Any:
+def _hits(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any) -> Any:
     """List all hits: face, abscissa of the end point, distance from the face [m], 1 / variance of that distance."""
-    n_rays = len(ranges)
+    n_rays = len(rays.ranges)
     face, at = np.empty(n_rays, np.int32), np.empty(n_rays)
     off, weight = np.empty(n_rays), np.empty(n_rays)
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
-    gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    normals = faces[0]
     count = 0
     for i in range(n_rays):
-        qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
-        if z > 1e300:
+        if rays.ranges[i] > 1e300:
             continue
-        reach = z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
-        n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+        n, _, _ = stop_probabilities(i, rays, faces, buckets, noise, work)
         for m in range(n):
-            if gamma[m] < MIN_HIT_SHARE:
+            if work.gamma[m] < MIN_HIT_SHARE:
                 continue
-            f = k[m]
-            den = normals[f, 0] * ux + normals[f, 1] * uy
-            if den > -MIN_COSINE:
+            is_hit, den, t_u, e, var = hit_of(m, i, rays, faces, noise, work)
+            if not is_hit:
                 continue
-            t_u = -normals[f, 1] * ux + normals[f, 0] * uy
-            var = variance(r[m], t_u, den, noise)
-            e = z - r[m]
-            if e * e > FIT_GATE * var:
-                continue
-            face[count], at[count] = f, t[m] + e * t_u
+            face[count], at[count] = work.march.k[m], work.march.t[m] + e * t_u
             off[count], weight[count] = e * den, 1.0 / (var * den * den)
             count += 1
     return face[:count], at[:count], off[:count], weight[:count]

@@ -12,7 +12,7 @@ the noise.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -24,8 +24,10 @@ from sensorgraph.models.faces.ray_march import (
     END_MARGIN,
     BucketGrid,
     FaceSet,
+    March,
     bucket_grid,
     crossed_faces,
+    new_march,
 )
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
@@ -38,6 +40,17 @@ REACH_SIGMAS, REACH_MARGIN = EXPECTATION.gate_sigmas, EXPECTATION.reach_margin
 MIN_FIT_SHARE = EXPECTATION.min_fit_share
 MIN_PASSED, MIN_LIKELIHOOD = 1e-5, 1e-12
 """Lower limits of logarithms' arguments: probability of passing a stretch, and likelihood of a ray [1/m]."""
+
+
+class RayArrays(NamedTuple):
+    """`Rays` for kernels."""
+
+    origins: Floats
+    directions: Floats
+    ranges: Floats
+    range_max: float
+    weights: Floats
+    """(n,), or (0,) if all are 1."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +79,12 @@ class Rays:
             range_max=self.range_max,
             weights=None if self.weights is None else self.weights[index],
         )
+
+    @property
+    def arrays(self) -> RayArrays:
+        """The rays for kernels."""
+        weights = np.zeros(0) if self.weights is None else self.weights
+        return RayArrays(self.origins, self.directions, self.ranges, self.range_max, weights)
 
     @property
     def hits(self) -> Floats:
@@ -164,10 +183,9 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
     stops, reached = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
     lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
     unexplained, nats, total = np.zeros(len(rays)), np.zeros(len(rays)), np.zeros(2)
-    _e_step(
-        rays.origins, rays.directions, rays.ranges, rays.range_max, weights_of(rays), faces, buckets, noise.array,
-        stops, reached, lines, spread, unexplained, nats, total,
-    )  # fmt: skip
+    work = new_stop_work()
+    sums = stops, reached, lines, spread, unexplained, nats, total
+    _e_step(rays.arrays, faces, buckets, noise.array, work, sums)
     return Expectation(
         stops=stops,
         reached=reached,
@@ -178,11 +196,6 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
         log_likelihood=float(total[0]),
         distance=float(total[1]),
     )
-
-
-def weights_of(rays: Rays) -> Floats:
-    """Return weights for kernels: (n,), or (0,) if all are 1."""
-    return np.zeros(0) if rays.weights is None else rays.weights
 
 
 def m_step(
@@ -252,28 +265,34 @@ def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
     return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, MIN_SQUARED_COSINE)
 
 
-@inlined_kernel
-def stop_probabilities(
-    qx: Any,
-    qy: Any,
-    ux: Any,
-    uy: Any,
-    z: Any,
-    faces: Any,
-    noise: Any,
-    r: Any,
-    k: Any,
-    j: Any,
-    t: Any,
-    n: Any,
-    gamma: Any,
-    survive: Any,
-) -> Any:
-    """Fill gamma_m = P(stopped at m | z) and survive_m = P(reached m | z) for n candidates.
+class StopWork(NamedTuple):
+    """What `stop_probabilities` fills for one ray."""
 
-    Returns the likelihood p(z) [1/m] of the measured range, and the probability that it is an outlier.
+    march: March
+    gamma: Floats
+    """(CANDIDATE_SLOTS,) P(stopped at m | z)."""
+    survive: Floats
+    """(CANDIDATE_SLOTS,) P(reached m | z)."""
+
+
+def new_stop_work() -> StopWork:
+    """Return memory for one ray."""
+    return StopWork(new_march(), np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS))
+
+
+@inlined_kernel
+def stop_probabilities(i: Any, rays: Any, faces: Any, buckets: Any, noise: Any, work: Any) -> Any:
+    """List the faces that ray i crosses up to its range, and the probabilities that they stopped it, in `work`.
+
+    Returns the number of crossings, the likelihood p(z) [1/m] of the measured range, and the probability that it is an
+    outlier.
     """
     normals, _, first, _, levels, _, _ = faces
+    march, gamma, survive = work
+    r, k, j, _ = march
+    ux, uy, z = rays.directions[i, 0], rays.directions[i, 1], rays.ranges[i]
+    reach = rays.range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
+    n = crossed_faces(rays.origins[i, 0], rays.origins[i, 1], ux, uy, reach, 0.0, faces, buckets, march)
     survival, total, before = 1.0, 0.0, 1.0
     for m in range(n):
         f = k[m]
@@ -292,7 +311,7 @@ def stop_probabilities(
     if z > 1e300:
         for m in range(n):
             survive[m] = 1.0
-        return survival, 0.0
+        return n, survival, 0.0
     stray = before * noise[3]
     total += stray
     left = 1.0
@@ -304,43 +323,40 @@ def stop_probabilities(
     for m in range(n):
         if r[m] > z:
             survive[m] = min(survive[m], gamma[m])
-    return total, stray / total
+    return n, total, stray / total
+
+
+@inlined_kernel
+def hit_of(m: Any, i: Any, rays: Any, faces: Any, noise: Any, work: Any) -> Any:
+    """Compare the return of ray i with crossing m, unless it is grazing or too far from the face.
+
+    Returns whether it is neither; n·u, t·u, the residual e [m] and its variance [m²].
+    """
+    f, rho = work.march.k[m], work.march.r[m]
+    ux, uy, normals = rays.directions[i, 0], rays.directions[i, 1], faces[0]
+    den = normals[f, 0] * ux + normals[f, 1] * uy
+    t_u = -normals[f, 1] * ux + normals[f, 0] * uy
+    var, e = variance(rho, t_u, den, noise), rays.ranges[i] - rho
+    return den <= -MIN_COSINE and e * e <= FIT_GATE * var, den, t_u, e, var
 
 
 @kernel
-def _e_step(
-    origins: Any,
-    directions: Any,
-    ranges: Any,
-    range_max: Any,
-    weights: Any,
-    faces: Any,
-    buckets: Any,
-    noise: Any,
-    stops: Any,
-    reached: Any,
-    lines: Any,
-    spread: Any,
-    unexplained: Any,
-    nats: Any,
-    total: Any,
-) -> Any:
-    normals, _, first, _, levels, _, _ = faces
-    r, t = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
-    k, j = np.empty(CANDIDATE_SLOTS, np.int64), np.empty(CANDIDATE_SLOTS, np.int64)
-    gamma, survive = np.empty(CANDIDATE_SLOTS), np.empty(CANDIDATE_SLOTS)
+def _e_step(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any, sums: Any) -> Any:
+    """Add up the `sums` of an `Expectation`: the first six fields, and log likelihood and distance (2,)."""
+    first, levels = faces[2], faces[4]
+    stops, reached, lines, spread, unexplained, nats, total = sums
+    march, gamma, survive = work
+    r, k, j, t = march
+    range_max, weights = rays.range_max, rays.weights
     passed = np.empty(len(levels))
     for m in range(len(levels)):
         passed[m] = np.log(max(1.0 - levels[m], MIN_PASSED))
-    for i in range(len(ranges)):
-        qx, qy, ux, uy, z = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1], ranges[i]
-        reach = range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
-        n = crossed_faces(qx, qy, ux, uy, reach, 0.0, faces, buckets, r, k, j, t)
-        value, stray = stop_probabilities(qx, qy, ux, uy, z, faces, noise, r, k, j, t, n, gamma, survive)
+    for i in range(len(rays.ranges)):
+        n, value, stray = stop_probabilities(i, rays, faces, buckets, noise, work)
         count = weights[i] if len(weights) else 1.0
         nats[i] = np.log(max(value, MIN_LIKELIHOOD))
         total[0] += count * nats[i]
-        total[1] += count * min(z, range_max)
+        total[1] += count * min(rays.ranges[i], range_max)
         unexplained[i] = stray
         for m in range(n):
             f = k[m]
@@ -355,13 +371,8 @@ def _e_step(
                 lines[f, 7] += count * survive[m] * passed[j[m]]
             if g < MIN_FIT_SHARE:
                 continue
-            den = normals[f, 0] * ux + normals[f, 1] * uy
-            if den > -MIN_COSINE:
-                continue
-            t_u = -normals[f, 1] * ux + normals[f, 0] * uy
-            var = variance(r[m], t_u, den, noise)
-            e = z - r[m]
-            if e * e > FIT_GATE * var:
+            is_hit, den, t_u, e, var = hit_of(m, i, rays, faces, noise, work)
+            if not is_hit:
                 continue
             across = e * den  # signed distance of the end point from the face
             w = count * g / (var * den * den)
