@@ -8,6 +8,7 @@ by column, because each sample depends on earlier ones. The factors of inputs ar
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,27 @@ N_COLUMNS = 8
 GROUP_NUMERATOR, GROUP_DENOMINATOR, GROUP_NOISE = range(3)
 """Part of the model that contains a term: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
 DIVERGED = 1e150
+
+
+class ModelTable(NamedTuple):
+    """A model over some samples, as the kernels take it."""
+
+    base: Floats
+    """(n, n_terms) product of the input factors of each term."""
+    theta: Floats
+    """(n_terms,) coefficients."""
+    group: Ints
+    """(n_terms,) numerator, denominator or noise."""
+    starts: Ints
+    """(n_terms + 1,) first row of each term in `table`."""
+    table: Ints
+    """(n_factors, N_COLUMNS) integers that describe each factor of past outputs or noise."""
+    scales: Floats
+    """(n_factors, 2) centre and width."""
+    limits: Floats
+    """(2,) saturation limits of the output."""
+    look_back: int
+    """Number of samples at the start that are known."""
 
 
 @inner_kernel
@@ -140,19 +162,9 @@ def factor_slope(row: Ints, centre: float, width: float, v: float) -> float:
 
 
 @inner_kernel
-def value_at(
-    k: int,
-    base: Floats,
-    theta: Floats,
-    group: Ints,
-    starts: Ints,
-    table: Ints,
-    scales: Floats,
-    past: Floats,
-    noise: Floats,
-    phi: Floats,
-) -> tuple[float, float]:
+def value_at(k: int, model: ModelTable, past: Floats, noise: Floats, phi: Floats) -> tuple[float, float]:
     """Return (prediction, denominator) at sample k and fill phi (n_terms,), the value of each term."""
+    base, theta, group, starts, table, scales, _, _ = model
     top, bottom, noise_part = 0.0, 1.0, 0.0
     for j in range(len(theta)):
         v = base[k, j]
@@ -171,15 +183,8 @@ def value_at(
 
 @kernel
 def run(
-    base: Floats,
-    theta: Floats,
-    group: Ints,
-    starts: Ints,
-    table: Ints,
-    scales: Floats,
+    model: ModelTable,
     measured: Floats,
-    look_back: int,
-    limits: Floats,
     free: bool,
     out: Floats,
     past: Floats,
@@ -192,14 +197,7 @@ def run(
 
     Parameters
     ----------
-    base : (n, n_terms) Product of the input factors of each term.
-    theta : (n_terms,) Coefficients.
-    group : (n_terms,) Numerator, denominator or noise.
-    starts : (n_terms + 1,) First row of each term in `table`.
-    table : (n_factors, N_COLUMNS) Integers that describe each factor of past outputs or noise.
-    scales : (n_factors, 2) Centre and width.
     measured : (n,) Measured outputs; nan: unknown.
-    limits : (2,) Saturation limits of the output.
     free : Whether past outputs are predictions and noise is zero; otherwise, past outputs are measured.
     out : (n,) Filled with the prediction from sample `look_back`; unchanged where it is unknown.
     past : (n,) Past outputs; filled with the prediction in free run.
@@ -207,11 +205,11 @@ def run(
     gradient : (n, n_terms or more) Filled with dŷ/dtheta; (0, 0): not computed.
         Further columns are initial conditions, whose given first rows are propagated.
     """
-    n, m = base.shape
+    limits, look_back, (n, m) = model.limits, model.look_back, model.base.shape
     phi, by_lag = np.zeros(m), np.zeros(look_back + 1)
     wanted = len(gradient) > 0
     for k in range(look_back, n):
-        value, bottom = value_at(k, base, theta, group, starts, table, scales, past, noise, phi)
+        value, bottom = value_at(k, model, past, noise, phi)
         held = value < limits[0] or value > limits[1]
         value = min(max(value, limits[0]), limits[1]) if held else value
         if not math.isfinite(value):
@@ -224,9 +222,7 @@ def run(
         elif math.isfinite(measured[k]):
             noise[k] = measured[k] - value
         if wanted and not held:
-            fill_gradient(
-                k, base, theta, group, starts, table, scales, past, noise, phi, bottom, free, by_lag, gradient
-            )
+            fill_gradient(k, model, past, noise, phi, bottom, free, by_lag, gradient)
     return True
 
 
@@ -244,12 +240,7 @@ def add_earlier(k: int, by_lag: Floats, gradient: Floats) -> None:
 @inner_kernel
 def fill_gradient(
     k: int,
-    base: Floats,
-    theta: Floats,
-    group: Ints,
-    starts: Ints,
-    table: Ints,
-    scales: Floats,
+    model: ModelTable,
     past: Floats,
     noise: Floats,
     phi: Floats,
@@ -266,6 +257,7 @@ def fill_gradient(
     ----------
     by_lag : (look_back + 1,) buffer for the derivatives by the output or noise at each lag; zeros before and after
     """
+    base, theta, group, starts, table, scales, _, _ = model
     m = len(theta)
     ratio = 0.0
     for j in range(m):
@@ -304,29 +296,17 @@ def fill_gradient(
 
 
 @kernel
-def run_ahead(
-    base: Floats,
-    theta: Floats,
-    group: Ints,
-    starts: Ints,
-    table: Ints,
-    scales: Floats,
-    measured: Floats,
-    noise: Floats,
-    look_back: int,
-    limits: Floats,
-    steps: int,
-) -> Floats:
+def run_ahead(model: ModelTable, measured: Floats, noise: Floats, steps: int) -> Floats:
     """Predict each sample (n,) `steps` ahead, from measurements up to `steps` samples before it."""
-    n, m = base.shape
+    limits, (n, m) = model.limits, model.base.shape
     out = np.full(n, np.nan)
     past, quiet = measured.copy(), noise.copy()
     phi = np.zeros(m)
-    for last in range(look_back + steps - 1, n):
+    for last in range(model.look_back + steps - 1, n):
         first = last - steps + 1
         value = np.nan
         for k in range(first, last + 1):
-            value, _ = value_at(k, base, theta, group, starts, table, scales, past, quiet, phi)
+            value, _ = value_at(k, model, past, quiet, phi)
             if value < limits[0] or value > limits[1]:
                 value = min(max(value, limits[0]), limits[1])
             if not abs(value) <= DIVERGED:  # unknown, as are the predictions that depend on it

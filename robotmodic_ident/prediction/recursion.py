@@ -227,26 +227,17 @@ class Recursion:
         slopes: Floats,
     ) -> bool:
         """Run over some samples, the first `look_back` of which are known; return False if the run diverges."""
-        return kernels.run(
-            segment.base[rows], theta, self.group, self.starts, self.table, self.scales, segment.measured[rows],
-            self.look_back, self.limits, free, out[rows], past[rows], noise[rows], slopes,
-        )  # fmt: skip
+        model = self._model(segment.base[rows], theta)
+        return kernels.run(model, segment.measured[rows], free, out[rows], past[rows], noise[rows], slopes)
 
     def run_ahead(self, segment: Segment, steps: int) -> Floats:
         """Predict every sample (n,) `steps` ahead, from measurements up to `steps` samples before it."""
         _, noise, _ = self.run(segment, free=False)
-        return kernels.run_ahead(
-            segment.base[:],
-            self.theta,
-            self.group,
-            self.starts,
-            self.table,
-            self.scales,
-            segment.measured,
-            noise,
-            self.look_back,
-            self.limits,
-            steps,
+        return kernels.run_ahead(self._model(segment.base[:], self.theta), segment.measured, noise, steps)
+
+    def _model(self, base: Floats, theta: Floats) -> kernels.ModelTable:
+        return kernels.ModelTable(
+            base, theta, self.group, self.starts, self.table, self.scales, self.limits, self.look_back
         )
 
 
