@@ -10,12 +10,10 @@ from planners.cars.entry import state_at
 from planners.clearance import Barriers
 from planners.reach import reach
 from planners.search.area import search_area
-from planners.search.heuristic import UNREACHED
+from planners.search.heuristic import UNREACHED, heuristic_buffers, time_to_goal, update_heuristic
 from planners.search.motion_primitives import GEARS, car_primitives
-from planners.search.nearest_goal import time_to_goal, update_heuristic
 from planners.search.search import CoverageSearch
 from planners.search.settings import SearchSettings
-from planners.search.workspace import heuristic_buffers
 from planners.types import Bools, Floats
 from planners.vehicle import Limits
 

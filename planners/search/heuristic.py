@@ -18,12 +18,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planners.kernel import inner_kernel
+from planners.kernel import inner_kernel, outer_kernel
+from planners.search.area import SearchArea
+from planners.search.kernel_world import SearchWorld
 from planners.search.motion_primitives import MotionPrimitives
-from planners.search.settings import HEURISTIC
-from planners.types import Bools, Floats, Int16s, Ints
+from planners.search.settings import HEURISTIC, SearchSettings
+from planners.types import Bools, Floats, Int16s, Int32s, Ints
 
 POINTS_PER_CELL = HEURISTIC.points_per_cell
 RIM = HEURISTIC.rim
@@ -58,11 +59,9 @@ class HeuristicLattice(NamedTuple):
     n_gears: int
 
 
-def heuristic_lattice(
-    primitives: MotionPrimitives, distance: Floats, step: float, cell: float, clearance: float
-) -> HeuristicLattice:
-    """Return the lattice of a car's primitives in an area, see `area.SearchArea`."""
-    spacing = cell / POINTS_PER_CELL
+def heuristic_lattice(primitives: MotionPrimitives, area: SearchArea) -> HeuristicLattice:
+    """Return the lattice of a car's primitives in an area."""
+    distance, step, spacing = area.distance, area.step, area.cell / POINTS_PER_CELL
     coarse = ~primitives.is_fine[0]
     turn, gear = primitives.turned_steps[0][coarse], primitives.next_mode[0][coarse]
     length = primitives.cost.min(axis=0)[coarse]
@@ -86,7 +85,7 @@ def heuristic_lattice(
         spacing=spacing,
         steps_per_class=steps_per_class,
         side=side,
-        free=np.ascontiguousarray(distance[np.ix_(*at)] >= clearance - HEURISTIC.clearance_slack),
+        free=np.ascontiguousarray(distance[np.ix_(*at)] >= area.clearance - HEURISTIC.clearance_slack),
         back=((before - classes - points * len(bins)) * n_gears).astype(np.int64),
         cost=length,
         gear=gear,
@@ -96,37 +95,46 @@ def heuristic_lattice(
     )
 
 
-@inner_kernel
-def backward_wave(
-    x: float,
-    y: float,
-    need: Bools,
-    missing: Ints,
-    lattice: HeuristicLattice,
-    cost_to_go: Int16s,
-    here: int,
-    mode: int,
-    queue: NDArray[np.int32],
-    next_entry: NDArray[np.int32],
-    heads: NDArray[np.int32],
-) -> tuple[int, int]:
-    """Fill `cost_to_go (side * side * n_classes * n_gears,)` with the units of time to the nearest missing bin.
+class HeuristicBuffers(NamedTuple):
+    """The cost-to-go map around a car, and the bucket queue that fills it."""
+
+    lattice: HeuristicLattice
+    cost_to_go: Int16s
+    """(side * side * n_classes * n_gears,) units of time to the nearest missing bin."""
+    queue: Int32s
+    """(n_entries,) states as indices of `cost_to_go`."""
+    next_entry: Int32s
+    """(n_entries,) next entry with the same cost; -1: none."""
+    heads: Int32s
+    """(ring,) first entry of each cost, modulo the length of the ring."""
+    corner: Ints
+    """(2,) lattice point at the window's (0, 0)."""
+
+
+def heuristic_buffers(
+    settings: SearchSettings, primitives: MotionPrimitives, area: SearchArea
+) -> HeuristicBuffers:
+    """Return the memory of the cost-to-go map; minimal if the settings request no guided search."""
+    lattice = heuristic_lattice(primitives, area)
+    side = lattice.side if settings.guided_width > 0 else 1
+    cost_to_go = np.empty(side * side * len(lattice.bins) * lattice.n_gears, dtype=np.int16)
+    entries = np.empty((2, 4 * cost_to_go.size), dtype=np.int32)
+    heads = np.empty(int(lattice.cost.max()) + lattice.pause + 1, dtype=np.int32)
+    return HeuristicBuffers(lattice, cost_to_go, entries[0], entries[1], heads, np.zeros(2, dtype=np.int64))
+
+
+@outer_kernel
+def update_heuristic(state: Floats, world: SearchWorld, heuristic: HeuristicBuffers) -> None:
+    """Fill the cost-to-go map around a state (4,): the units of time to the nearest missing bin.
 
     The wave stops `OVERRUN` units after it has reached the car.
-
-    Parameters
-    ----------
-    x, y : [m] Place of the car, from the area's origin.
-    here, mode : Heading class and gear of the car.
-    queue, next_entry, heads : See `workspace.HeuristicBuffers`.
-
-    Returns
-    -------
-    The lattice point at the window's (0, 0).
     """
+    lattice, cost_to_go, queue, next_entry, heads, corner = heuristic
+    here, mode = int(state[2]) // lattice.steps_per_class, int(state[3])
     side, n_classes, n_gears, ring = lattice.side, len(lattice.bins), lattice.n_gears, len(heads)
-    i0, k0 = int(x / lattice.spacing) - side // 2, int(y / lattice.spacing) - side // 2
-    n_queued = _start_wave(i0, k0, need, missing, lattice, cost_to_go, queue, next_entry, heads)
+    corner[0] = int((state[0] - world.x0) / lattice.spacing) - side // 2
+    corner[1] = int((state[1] - world.y0) / lattice.spacing) - side // 2
+    n_queued = _start_wave(corner[0], corner[1], world, heuristic)
     units, empty = 0, 0
     at_car = ((side // 2 * side + side // 2) * n_classes + here) * n_gears + mode
     while empty < ring and cost_to_go[at_car] + OVERRUN >= units:
@@ -154,25 +162,16 @@ def backward_wave(
                         heads[later % ring] = n_queued
                         n_queued += 1
         units += 1
-    return i0, k0
 
 
 @inner_kernel
-def _start_wave(
-    i0: int,
-    k0: int,
-    need: Bools,
-    missing: Ints,
-    lattice: HeuristicLattice,
-    cost_to_go: Int16s,
-    queue: NDArray[np.int32],
-    next_entry: NDArray[np.int32],
-    heads: NDArray[np.int32],
-) -> int:
+def _start_wave(i0: int, k0: int, world: SearchWorld, heuristic: HeuristicBuffers) -> int:
     """Start the wave in every missing bin of the window whose (0, 0) is point (i0, k0); return the number of entries.
 
     Points that are not free, and the rim of the window, get a cost of -1, so that the wave never enters them.
     """
+    lattice, cost_to_go, queue, next_entry, heads, _ = heuristic
+    need, missing = world.need, world.missing
     side, n_classes, n_gears, (n, m) = lattice.side, len(lattice.bins), lattice.n_gears, lattice.free.shape
     cost_to_go[:] = -1
     heads[:] = -1
@@ -196,3 +195,16 @@ def _start_wave(
                         heads[0] = n_queued
                         n_queued += 1
     return n_queued
+
+
+@outer_kernel
+def time_to_goal(x: float, y: float, h: int, m: int, world: SearchWorld, heuristic: HeuristicBuffers) -> int:
+    """Return the units of time from a state to the nearest missing bin; UNREACHED outside the map."""
+    lattice, corner = heuristic.lattice, heuristic.corner
+    i = int((x - world.x0) / lattice.spacing) - corner[0]
+    k = int((y - world.y0) / lattice.spacing) - corner[1]
+    if i < 0 or k < 0 or i >= lattice.side or k >= lattice.side:
+        return UNREACHED
+    pose = (i * lattice.side + k) * len(lattice.bins) + h // lattice.steps_per_class
+    away = int(heuristic.cost_to_go[pose * lattice.n_gears + m])
+    return away if away >= 0 else UNREACHED

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from planners.array_kernels import make_heap, pop_least
 from planners.kernel import inner_kernel, outer_kernel
-from planners.search.heuristic import UNREACHED, backward_wave
+from planners.search.heuristic import HeuristicBuffers, time_to_goal, update_heuristic
 from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
     PrimitiveArrays,
@@ -23,7 +23,7 @@ from planners.search.kernel_world import (
     try_primitive,
     wide,
 )
-from planners.search.workspace import GOAL_CAPACITY, BeamSettings, HeuristicBuffers, Workspace
+from planners.search.workspace import GOAL_CAPACITY, BeamSettings, Workspace
 from planners.types import Floats
 
 
@@ -177,36 +177,3 @@ def find_nearest_goal(
     return nearest_goal_search(
         state, settings, world, primitives, settings.goal_width, False, heuristic, workspace
     )
-
-
-@outer_kernel
-def update_heuristic(state: Floats, world: SearchWorld, heuristic: HeuristicBuffers) -> None:
-    """Fill the cost-to-go map around a state."""
-    i0, k0 = backward_wave(
-        state[0] - world.x0,
-        state[1] - world.y0,
-        world.need,
-        world.missing,
-        heuristic.lattice,
-        heuristic.cost_to_go,
-        int(state[2]) // heuristic.lattice.steps_per_class,
-        int(state[3]),
-        heuristic.queue,
-        heuristic.next_entry,
-        heuristic.heads,
-    )
-    heuristic.corner[0], heuristic.corner[1] = i0, k0
-
-
-@outer_kernel
-def time_to_goal(x: float, y: float, h: int, m: int, world: SearchWorld, heuristic: HeuristicBuffers) -> int:
-    """Return the units of time from a state to the nearest missing bin; UNREACHED outside the map."""
-    i = int((x - world.x0) / heuristic.lattice.spacing) - heuristic.corner[0]
-    k = int((y - world.y0) / heuristic.lattice.spacing) - heuristic.corner[1]
-    if i < 0 or k < 0 or i >= heuristic.lattice.side or k >= heuristic.lattice.side:
-        return UNREACHED
-    pose = (i * heuristic.lattice.side + k) * len(
-        heuristic.lattice.bins
-    ) + h // heuristic.lattice.steps_per_class
-    away = int(heuristic.cost_to_go[pose * heuristic.lattice.n_gears + m])
-    return away if away >= 0 else UNREACHED

@@ -18,6 +18,7 @@ from planners.compile_ahead import compile_for
 from planners.rooms import NEIGHBOUR_STEPS
 from planners.search.area import SearchArea
 from planners.search.beam import beam_search, drive
+from planners.search.heuristic import HeuristicBuffers, heuristic_buffers
 from planners.search.kernel_goals import cell_distances
 from planners.search.kernel_world import (
     PrimitiveArrays,
@@ -31,10 +32,8 @@ from planners.search.nearest_goal import find_nearest_goal, nearest_goal_search
 from planners.search.settings import KERNELS, SearchSettings
 from planners.search.workspace import (
     BeamSettings,
-    HeuristicBuffers,
     Workspace,
     beam_settings,
-    heuristic_buffers,
     workspace_for,
 )
 from planners.types import Bools, Floats, Int32s, Ints

@@ -7,12 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from planners.kernel import inner_kernel
-from planners.search.area import SearchArea
-from planners.search.heuristic import HeuristicLattice, heuristic_lattice
 from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, PrimitiveArrays, Scratch, new_scratch
 from planners.search.motion_primitives import MotionPrimitives
 from planners.search.settings import KERNELS, SearchSettings
-from planners.types import Floats, Int16s, Int32s, Ints
+from planners.types import Floats, Int32s, Ints
 
 GOAL_CAPACITY = KERNELS.goal_capacity
 
@@ -64,34 +62,6 @@ def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> Bea
             primitives.omega and len(np.unique(primitives.heading_bin)) == primitives.n_headings >= horizon
         ),
     )
-
-
-class HeuristicBuffers(NamedTuple):
-    """The cost-to-go map around a car, and the bucket queue that fills it."""
-
-    lattice: HeuristicLattice
-    cost_to_go: Int16s
-    """(side * side * n_classes * n_gears,) units of time to the nearest missing bin."""
-    queue: Int32s
-    """(n_entries,) states as indices of `cost_to_go`."""
-    next_entry: Int32s
-    """(n_entries,) next entry with the same cost; -1: none."""
-    heads: Int32s
-    """(ring,) first entry of each cost, modulo the length of the ring."""
-    corner: Ints
-    """(2,) lattice point at the window's (0, 0)."""
-
-
-def heuristic_buffers(
-    settings: SearchSettings, primitives: MotionPrimitives, area: SearchArea
-) -> HeuristicBuffers:
-    """Return the memory of the cost-to-go map; minimal if the settings request no guided search."""
-    lattice = heuristic_lattice(primitives, area.distance, area.step, area.cell, area.clearance)
-    side = lattice.side if settings.guided_width > 0 else 1
-    cost_to_go = np.empty(side * side * len(lattice.bins) * lattice.n_gears, dtype=np.int16)
-    entries = np.empty((2, 4 * cost_to_go.size), dtype=np.int32)
-    heads = np.empty(int(lattice.cost.max()) + lattice.pause + 1, dtype=np.int32)
-    return HeuristicBuffers(lattice, cost_to_go, entries[0], entries[1], heads, np.zeros(2, dtype=np.int64))
 
 
 class Workspace(NamedTuple):
