@@ -26,8 +26,6 @@ from planners.array_kernels import make_heap, pop_least
 from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
 from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
-    PrimitiveArrays,
-    SearchWorld,
     apply_primitive,
     end_state,
     find_slot,
@@ -36,22 +34,14 @@ from planners.search.kernel_world import (
     try_primitive,
     wide,
 )
-from planners.search.workspace import BeamSettings, Workspace, beam_capacity_kernel
+from planners.search.workspace import SearchTables, beam_capacity_kernel
 from planners.types import Floats, Int32s, Ints
 
 
 @inlined_kernel
-def _expand(
-    node: int,
-    layer: int,
-    n_nodes: int,
-    capacity: int,
-    settings: BeamSettings,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    workspace: Workspace,
-) -> int:
+def _expand(node: int, layer: int, n_nodes: int, capacity: int, tables: SearchTables) -> int:
     """Add the children of a node to the pools of their layers, up to `capacity` each; return the number of nodes."""
+    settings, world, primitives, workspace = tables
     at, bins, fill = workspace.places, workspace.covered, workspace.pool_sizes
     covered = workspace.scratch.covered
     x, y, h, m = at[node, 0], at[node, 1], wide(workspace.headings[node]), wide(workspace.modes[node])
@@ -95,13 +85,7 @@ def _expand(
 
 
 @outer_kernel
-def beam_search(
-    state: Floats,
-    settings: BeamSettings,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    workspace: Workspace,
-) -> tuple[int, int]:
+def beam_search(state: Floats, tables: SearchTables) -> tuple[int, int]:
     """Search `settings.horizon` units of time ahead with a beam; see the module docstring for score and beam.
 
     The branches of the best sequence with a safe end are written to `workspace.sequence`.
@@ -110,6 +94,7 @@ def beam_search(
     -------
     The number of branches, and the number of bins that they cover; 0, 0 if no end is safe.
     """
+    settings, world, primitives, workspace = tables
     horizon, most = settings.horizon, 3 * settings.width
     capacity = beam_capacity_kernel(settings.width, primitives.next_mode.shape[1])
     at, scores, hs, ms = workspace.places, workspace.scores, workspace.headings, workspace.modes
@@ -149,7 +134,7 @@ def beam_search(
             kept += 1
             if kept > settings.width:
                 break
-            n_nodes = _expand(node, layer, n_nodes, capacity, settings, world, primitives, workspace)
+            n_nodes = _expand(node, layer, n_nodes, capacity, tables)
     n_leaves = 0
     for layer in range(horizon, horizon + primitives.max_cost + 1):
         for o in range(fill[layer]):
@@ -159,16 +144,7 @@ def beam_search(
     make_heap(workspace.heap, n_leaves, costs)
     for popped in range(n_leaves):
         node = workspace.leaves[pop_least(workspace.heap, n_leaves - popped, costs)]
-        if is_safe(
-            at[node, 0],
-            at[node, 1],
-            wide(hs[node]),
-            wide(ms[node]),
-            settings,
-            world,
-            primitives,
-            workspace.scratch,
-        ):
+        if is_safe(at[node, 0], at[node, 1], wide(hs[node]), wide(ms[node]), tables):
             n = trace_back(node, workspace.parents, workspace.branches, workspace.sequence)
             return n, workspace.total_covered[node]
     return 0, 0
@@ -186,16 +162,7 @@ def _is_covered(node: int, bin_: int, parents: Int32s, counts: Int32s, bins: Int
 
 
 @outer_kernel
-def drive(
-    state: Floats,
-    n: int,
-    units: int,
-    left: int,
-    settings: BeamSettings,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    workspace: Workspace,
-) -> tuple[int, int]:
+def drive(state: Floats, n: int, units: int, left: int, tables: SearchTables) -> tuple[int, int]:
     """Execute the first of `n` branches in `workspace.sequence`, for `units` of time or until no bin is missing.
 
     If no bin is missing, a robot that must be able to stop drives on until it is at rest.
@@ -204,6 +171,7 @@ def drive(
     -------
     The number of executed branches, and the number of bins `left`.
     """
+    settings, world, primitives, workspace = tables
     spent, sequence = 0, workspace.sequence
     for k in range(n):
         if left == 0:

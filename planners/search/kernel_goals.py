@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 from planners.kernel import inner_kernel, outer_kernel
-from planners.search.kernel_world import PrimitiveArrays, Scratch, SearchWorld, find_escape
-from planners.search.workspace import BeamSettings
+from planners.search.kernel_world import SearchWorld, find_escape
+from planners.search.workspace import SearchTables
 from planners.types import Ints
 
 
 @inner_kernel
-def is_safe(
-    x: float,
-    y: float,
-    h: int,
-    m: int,
-    settings: BeamSettings,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    scratch: Scratch,
-) -> bool:
+def is_safe(x: float, y: float, h: int, m: int, tables: SearchTables) -> bool:
     """Return whether the robot can go on from a state, or stop.
 
     Unsafe states are cached: in a dead end, each test takes thousands of tries.
     """
+    settings, world, primitives, workspace = tables
     remembered = world.trapped.size > 1
     i, k = 0, 0
     if remembered:
         i, k = int((x - world.x0) / settings.lattice), int((y - world.y0) / settings.lattice)
         if world.trapped[i, k, h]:
             return False
-    safe = bool(find_escape(x, y, h, m, settings.safe_depth, world, primitives, scratch) >= 0)
+    safe = bool(find_escape(x, y, h, m, settings.safe_depth, world, primitives, workspace.scratch) >= 0)
     if remembered:
         world.trapped[i, k, h] = not safe
     return safe

@@ -14,8 +14,6 @@ from planners.kernel import inner_kernel, outer_kernel
 from planners.search.heuristic import HeuristicBuffers, time_to_goal, update_heuristic
 from planners.search.kernel_goals import cell_distance, is_safe
 from planners.search.kernel_world import (
-    PrimitiveArrays,
-    SearchWorld,
     end_state,
     find_slot,
     lattice_key,
@@ -23,20 +21,13 @@ from planners.search.kernel_world import (
     try_primitive,
     wide,
 )
-from planners.search.workspace import GOAL_CAPACITY, BeamSettings, Workspace
+from planners.search.workspace import GOAL_CAPACITY, SearchTables
 from planners.types import Floats
 
 
 @inner_kernel
 def _expand_nearest(
-    node: int,
-    layer: int,
-    n_nodes: int,
-    capacity: int,
-    settings: BeamSettings,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    workspace: Workspace,
+    node: int, layer: int, n_nodes: int, capacity: int, tables: SearchTables
 ) -> tuple[int, bool]:
     """Add the children of a state to the pools of their layers.
 
@@ -44,6 +35,7 @@ def _expand_nearest(
     -------
     The number of states, -1 if there are too many; and whether a child was dropped because its layer is full.
     """
+    settings, world, primitives, workspace = tables
     at, fill, ring = workspace.places, workspace.pool_sizes, primitives.max_cost + 1
     x, y, h, m = at[node, 0], at[node, 1], wide(workspace.headings[node]), wide(workspace.modes[node])
     was_full = False
@@ -82,14 +74,7 @@ def _expand_nearest(
 
 @outer_kernel
 def nearest_goal_search(
-    state: Floats,
-    settings: BeamSettings,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    width: int,
-    is_guided: bool,
-    heuristic: HeuristicBuffers,
-    workspace: Workspace,
+    state: Floats, tables: SearchTables, width: int, is_guided: bool, heuristic: HeuristicBuffers
 ) -> int:
     """Search breadth first for the nearest missing bin; write the branches to `workspace.sequence`.
 
@@ -101,6 +86,7 @@ def nearest_goal_search(
     -------
     The number of branches; 0: no bin can be reached at this resolution; -1: the search gave up.
     """
+    settings, world, primitives, workspace = tables
     at, hs, ms, gains = workspace.places, workspace.headings, workspace.modes, workspace.n_covered
     ring, capacity = primitives.max_cost + 1, width * GOAL_CAPACITY
     pool, fill, away = workspace.pool, workspace.pool_sizes, workspace.costs
@@ -118,14 +104,7 @@ def nearest_goal_search(
         for o in range(here):
             node = pool[row, o]
             if gains[node] > top and is_safe(
-                at[node, 0],
-                at[node, 1],
-                wide(hs[node]),
-                wide(ms[node]),
-                settings,
-                world,
-                primitives,
-                workspace.scratch,
+                at[node, 0], at[node, 1], wide(hs[node]), wide(ms[node]), tables
             ):
                 top, chosen = gains[node], node
         if top > 0:
@@ -143,9 +122,7 @@ def nearest_goal_search(
         for popped in range(min(here, width)):
             node = pool[row, pop_least(workspace.heap, here - popped, away)]
             before = n_nodes
-            n_nodes, was_full = _expand_nearest(
-                node, layer, n_nodes, capacity, settings, world, primitives, workspace
-            )
+            n_nodes, was_full = _expand_nearest(node, layer, n_nodes, capacity, tables)
             is_cut = is_cut or was_full
             if n_nodes < 0:
                 return -1
@@ -155,25 +132,15 @@ def nearest_goal_search(
     return -1
 
 
-def find_nearest_goal(
-    state: Floats,
-    settings: BeamSettings,
-    world: SearchWorld,
-    primitives: PrimitiveArrays,
-    heuristic: HeuristicBuffers,
-    workspace: Workspace,
-) -> int:
+def find_nearest_goal(state: Floats, tables: SearchTables, heuristic: HeuristicBuffers) -> int:
     """Search for the nearest missing bin, first guided by the cost-to-go map if the settings request it, then widely.
 
     The branches are written to `workspace.sequence`. The result is that of `nearest_goal_search`.
     """
+    settings = tables.settings
     if settings.guided_width > 0:
-        update_heuristic(state, world, heuristic)
-        found = nearest_goal_search(
-            state, settings, world, primitives, settings.guided_width, True, heuristic, workspace
-        )
+        update_heuristic(state, tables.world, heuristic)
+        found = nearest_goal_search(state, tables, settings.guided_width, True, heuristic)
         if found > 0:
             return found
-    return nearest_goal_search(
-        state, settings, world, primitives, settings.goal_width, False, heuristic, workspace
-    )
+    return nearest_goal_search(state, tables, settings.goal_width, False, heuristic)

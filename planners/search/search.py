@@ -31,8 +31,7 @@ from planners.search.motion_primitives import MotionPrimitives
 from planners.search.nearest_goal import find_nearest_goal, nearest_goal_search
 from planners.search.settings import KERNELS, SearchSettings
 from planners.search.workspace import (
-    BeamSettings,
-    Workspace,
+    SearchTables,
     beam_settings,
     workspace_for,
 )
@@ -162,15 +161,14 @@ class CoverageSearch:
 
     def run(self, tick: Callable[[int], bool]) -> SearchStatus:
         """Drive until no bin is missing or reachable; `tick` gets the number of bins left, False ends the search."""
-        settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
-        workspace = workspace_for(settings, primitives, self.world.missing.shape)
+        tables = self._tables()
         heuristic, left = heuristic_buffers(self.settings, self.primitives, self.area), self.left
         for decision in count():
             if decision % DECISIONS_PER_TICK == 0:
                 if decision > 0 and not tick(left):
                     break
                 self._snapshots = [*self._snapshots[-1:], self._snapshot()]
-            status, left = self._decide(left, settings, primitives, heuristic, workspace)
+            status, left = self._decide(left, tables, heuristic)
             if status is not None:
                 tick(left)
                 return status
@@ -178,27 +176,24 @@ class CoverageSearch:
 
     def compile(self) -> None:
         """Compile the kernels of `run`, or load them from the cache, so that progress starts with the search."""
-        settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
-        world = self.world
-        workspace = workspace_for(settings, primitives, world.missing.shape)
+        tables = self._tables()
+        workspace = tables.workspace
         buffers = heuristic_buffers(self.settings, self.primitives, self.area)
         compile_for(  # while one process begins with `cell_distances`, the other compiles what the large ones share
-            (beam_search, (self.state, settings, world, primitives, workspace)),
-            (cell_distances, (world, workspace.far, workspace.cell_queue)),
-            (drive, (self.state, 0, 0, 0, settings, world, primitives, workspace)),
-            (
-                nearest_goal_search,
-                (self.state, settings, world, primitives, 1, True, buffers, workspace),
-            ),
+            (beam_search, (self.state, tables)),
+            (cell_distances, (self.world, workspace.far, workspace.cell_queue)),
+            (drive, (self.state, 0, 0, 0, tables)),
+            (nearest_goal_search, (self.state, tables, 1, True, buffers)),
         )
 
+    def _tables(self) -> SearchTables:
+        """Return the input and the memory of the kernels."""
+        settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
+        workspace = workspace_for(settings, primitives, self.world.missing.shape)
+        return SearchTables(settings, self.world, primitives, workspace)
+
     def _decide(
-        self,
-        left: int,
-        settings: BeamSettings,
-        primitives: PrimitiveArrays,
-        heuristic: HeuristicBuffers,
-        workspace: Workspace,
+        self, left: int, tables: SearchTables, heuristic: HeuristicBuffers
     ) -> tuple[SearchStatus | None, int]:
         """Choose the next part of the drive and execute it.
 
@@ -208,17 +203,18 @@ class CoverageSearch:
         """
         if left == 0:
             return SearchStatus.DONE, left
-        state, world, units = self.state, self.world, settings.executed
-        cell_distances(world, workspace.far, workspace.cell_queue)
-        n, n_new = beam_search(state, settings, world, primitives, workspace)
+        settings, workspace = tables.settings, tables.workspace
+        state, units = self.state, settings.executed
+        cell_distances(tables.world, workspace.far, workspace.cell_queue)
+        n, n_new = beam_search(state, tables)
         if n_new < min(settings.min_bins, left):
-            found = find_nearest_goal(state, settings, world, primitives, heuristic, workspace)
+            found = find_nearest_goal(state, tables, heuristic)
             if found > 0:
                 n, units = found, settings.goal_horizon
             elif n_new == 0:
                 return SearchStatus.UNREACHABLE if found == 0 else SearchStatus.GAVE_UP, left
         mode = int(state[3])
-        n_driven, left = drive(state, n, units, left, settings, world, primitives, workspace)
+        n_driven, left = drive(state, n, units, left, tables)
         self._parts.append(workspace.sequence[:n_driven].copy())
         self.seconds += self.primitives.unit * self.primitives.units(mode, self._parts[-1])
         return None, left

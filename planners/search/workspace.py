@@ -7,7 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from planners.kernel import inner_kernel
-from planners.search.kernel_world import MAX_BINS_PER_PRIMITIVE, PrimitiveArrays, Scratch, new_scratch
+from planners.search.kernel_world import (
+    MAX_BINS_PER_PRIMITIVE,
+    PrimitiveArrays,
+    Scratch,
+    SearchWorld,
+    new_scratch,
+)
 from planners.search.motion_primitives import MotionPrimitives
 from planners.search.settings import KERNELS, SearchSettings
 from planners.types import Floats, Int32s, Ints
@@ -108,6 +114,15 @@ class Workspace(NamedTuple):
     cell_queue: Ints
     """(nx * ny,) queue of cells while `far` is filled."""
     scratch: Scratch
+
+
+class SearchTables(NamedTuple):
+    """What the kernels of a search read and write."""
+
+    settings: BeamSettings
+    world: SearchWorld
+    primitives: PrimitiveArrays
+    workspace: Workspace
 
 
 def beam_capacity(width: int, n_branches: int) -> int:
