@@ -113,6 +113,15 @@ class GearRuns(NamedTuple):
     """(m + 1,) [s] start of each run, and the end."""
 
 
+class PathAnalysis(NamedTuple):
+    """A path and the quantities derived from it."""
+
+    path: ArcPath
+    intervals: BinIntervals
+    runs: GearRuns
+    context: CarContext
+
+
 @inner_kernel
 def pose_at(path: ArcPath, k: int) -> Pose:
     """Return the pose at the start of arc k."""
@@ -220,11 +229,15 @@ def gear_runs(path: ArcPath, context: CarContext) -> GearRuns:
     return GearRuns(run, before, length[: at + 1].copy(), clock)
 
 
+def analysed(path: ArcPath, context: CarContext) -> PathAnalysis:
+    """Return a path with its intervals and runs."""
+    return PathAnalysis(path, bin_intervals(path, context), gear_runs(path, context), context)
+
+
 @inner_kernel
-def replacement_time(
-    i: int, j: int, arcs: Arcs, n: int, path: ArcPath, runs: GearRuns, context: CarContext
-) -> float:
+def replacement_time(i: int, j: int, arcs: Arcs, n: int, analysis: PathAnalysis) -> float:
     """Return the duration [s] of the runs around arcs i to j when `n` arcs replace that part."""
+    path, _, runs, context = analysis
     gear, length = path.gear[i - 1], runs.before[i - 1] + path.length[i - 1]
     total = 0.0
     for k in range(n):
@@ -239,15 +252,14 @@ def replacement_time(
 
 
 @inner_kernel
-def bins_covered(
-    i: int, j: int, arcs: Arcs, n: int, path: ArcPath, intervals: BinIntervals, context: CarContext, out: Ints
-) -> int:
+def bins_covered(i: int, j: int, arcs: Arcs, n: int, analysis: PathAnalysis, out: Ints) -> int:
     """Write the bins covered between the intervals around arcs i and j when `n` arcs replace that part.
 
     Returns
     -------
     The number of these bins.
     """
+    path, intervals, _, context = analysis
     own, length, stops = -1, 0.0, 0
     if intervals.before[i] >= 0:
         own, length, stops = (

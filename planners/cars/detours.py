@@ -17,12 +17,10 @@ import numpy as np
 from planners.cars.arc_path import (
     MAX_BINS,
     ArcPath,
-    BinIntervals,
     CarContext,
-    GearRuns,
-    bin_intervals,
+    PathAnalysis,
+    analysed,
     bins_covered,
-    gear_runs,
     is_clear,
     min_length,
     pose_at,
@@ -55,22 +53,13 @@ def insert_detours(path: ArcPath, goals: Floats, bins: Ints, context: CarContext
     goals : (m, 3) [m, m, rad] Poses in the bins.
     bins : (m,) Flat bin of each pose; one pose per bin is enough.
     """
-    intervals, runs = bin_intervals(path, context), gear_runs(path, context)
+    analysis = analysed(path, context)
     wanted = np.unique(bins)
 
     def best(bin_: int) -> tuple[int, Arcs, set[int]]:
         arcs, word, gained = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), np.empty(MAX_BINS, np.int64)
-        k, n, n_covered = find_detour(
-            np.ascontiguousarray(goals[bins == bin_]),
-            bin_,
-            path,
-            intervals,
-            runs,
-            context,
-            word,
-            arcs,
-            gained,
-        )
+        own = np.ascontiguousarray(goals[bins == bin_])
+        k, n, n_covered = find_detour(own, bin_, analysis, word, arcs, gained)
         return k, take_arcs(arcs, slice(n)), set(gained[:n_covered].tolist())
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
@@ -89,15 +78,7 @@ def insert_detours(path: ArcPath, goals: Floats, bins: Ints, context: CarContext
 
 @outer_kernel
 def find_detour(
-    goals: Floats,
-    bin_: int,
-    path: ArcPath,
-    intervals: BinIntervals,
-    runs: GearRuns,
-    context: CarContext,
-    word: Floats,
-    arcs: Arcs,
-    gained: Ints,
+    goals: Floats, bin_: int, analysis: PathAnalysis, word: Floats, arcs: Arcs, gained: Ints
 ) -> tuple[int, int, int]:
     """Find the quickest detour by one of the goals (m, 3) that covers `bin_`; write its arcs and its bins to `gained`.
 
@@ -105,6 +86,7 @@ def find_detour(
     -------
     The arc before which it is inserted (0: none), its number of arcs, and its number of bins.
     """
+    path, _, runs, context = analysis
     best, best_k, best_goal = MAX_DURATION, 0, 0
     for k in range(1, len(path.length)):
         here = pose_at(path, k)
@@ -117,10 +99,10 @@ def find_detour(
             n = there_and_back(k, goal, path, context, word, arcs)
             if n < 0:
                 continue
-            cost = replacement_time(k, k, arcs, n, path, runs, context) - section_time(k, k, runs)
+            cost = replacement_time(k, k, arcs, n, analysis) - section_time(k, k, runs)
             if cost >= best or not is_clear(here, arcs, n, context):
                 continue
-            n_covered = bins_covered(k, k, arcs, n, path, intervals, context, gained)
+            n_covered = bins_covered(k, k, arcs, n, analysis, gained)
             for w in range(n_covered):
                 if gained[w] == bin_:
                     best, best_k, best_goal = cost, k, g
@@ -128,7 +110,7 @@ def find_detour(
         return 0, 0, 0
     goal = goals[best_goal, 0], goals[best_goal, 1], goals[best_goal, 2]
     n = there_and_back(best_k, goal, path, context, word, arcs)
-    return best_k, n, bins_covered(best_k, best_k, arcs, n, path, intervals, context, gained)
+    return best_k, n, bins_covered(best_k, best_k, arcs, n, analysis, gained)
 
 
 @inner_kernel

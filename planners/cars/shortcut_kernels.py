@@ -18,10 +18,9 @@ import numpy as np
 from planners.array_kernels import is_any, make_heap, pop_least, set_all
 from planners.cars.arc_path import (
     MAX_BINS,
-    ArcPath,
     BinIntervals,
     CarContext,
-    GearRuns,
+    PathAnalysis,
     bins_covered,
     flat_bin,
     is_clear,
@@ -55,15 +54,6 @@ class Replacements(NamedTuple):
     """(n,) interval that the shortcut passes, so that its bin is not lost; -1: none."""
 
 
-class PathAnalysis(NamedTuple):
-    """A path and the quantities derived from it."""
-
-    path: ArcPath
-    intervals: BinIntervals
-    runs: GearRuns
-    context: CarContext
-
-
 class ShortcutWorkspace(NamedTuple):
     """Work memory of one thread."""
 
@@ -92,24 +82,16 @@ def covering_intervals(intervals: BinIntervals, context: CarContext) -> Bools:
 
 
 @inner_kernel
-def interval_middle(interval: int, path: ArcPath, intervals: BinIntervals, context: CarContext) -> Pose:
+def interval_middle(interval: int, analysis: PathAnalysis) -> Pose:
     """Return the pose in the middle of an interval."""
+    path, intervals, _, context = analysis
     at = intervals.start[interval] + 0.5 * intervals.length[interval]
     k = min(int(np.searchsorted(intervals.driven, at, side="right")) - 1, len(path.length) - 1)
     return arc_end(pose_at(path, k), at - intervals.driven[k], path.bend[k], path.gear[k], context.radius)
 
 
 @outer_kernel
-def find_shortcut(
-    i: int,
-    j: int,
-    via: int,
-    path: ArcPath,
-    intervals: BinIntervals,
-    context: CarContext,
-    word: Floats,
-    out: Arcs,
-) -> int:
+def find_shortcut(i: int, j: int, via: int, analysis: PathAnalysis, word: Floats, out: Arcs) -> int:
     """Write the quickest arcs from the start of arc i to that of arc j to `out`; return their number or -1.
 
     Parameters
@@ -117,26 +99,18 @@ def find_shortcut(
     via : Interval whose middle the arcs pass; -1: none.
     word : (MAX_ARCS,) Work memory.
     """
+    path, context = analysis.path, analysis.context
     gear, n = path.gear[i - 1], 0
     start = pose_at(path, i)
     n_legs = 1 if via < 0 else 2
     for leg in range(n_legs):
         goal, after = pose_at(path, j), path.gear[j]
         if leg < n_legs - 1:
-            goal, after = interval_middle(via, path, intervals, context), 0
+            goal, after = interval_middle(via, analysis), 0
         more = quickest_word(
-            start,
-            goal,
-            context.radius,
-            gear,
-            after,
-            context.gear_change_cost,
-            context.can_reverse,
-            SHORTEST_ARC,
-            n,
-            word,
-            out,
-        )
+            start, goal, context.radius, gear, after, context.gear_change_cost, context.can_reverse, SHORTEST_ARC, n,
+            word, out,
+        )  # fmt: skip
         if more < 0:
             return -1
         n += more
@@ -162,21 +136,14 @@ def bins_lost(n_touched: int, n_covered: int, workspace: ShortcutWorkspace) -> t
 
 @inner_kernel
 def bins_missed(
-    i: int,
-    j: int,
-    arcs: Arcs,
-    n: int,
-    critical: Ints,
-    n_critical: int,
-    path: ArcPath,
-    intervals: BinIntervals,
-    context: CarContext,
+    i: int, j: int, arcs: Arcs, n: int, critical: Ints, n_critical: int, analysis: PathAnalysis
 ) -> tuple[int, int]:
     """Return the number of critical bins that a shortcut does not pass, counted up to two, and the last of them.
 
     This is a quick test before `bins_covered`. The samples are so dense that each interval which covers a bin
     contains a sample or a stop of the car.
     """
+    path, intervals, _, context = analysis
     all_seen = (1 << n_critical) - 1
     seen = 0
     for k in range(n_critical):
@@ -225,23 +192,21 @@ def evaluate(
     best, before = max(replacements.saved[i], MIN_SAVING), section_time(i, j, runs)
     arcs, via = workspace.arcs, -1
     start, goal = pose_at(path, i), pose_at(path, j)
-    most = max_saving(i, j, path, runs, context)
+    most = max_saving(i, j, analysis)
     if most - min_length(start, goal, context.radius) / context.speed <= best:
         return
     for _ in range(2):
-        n_arcs = find_shortcut(i, j, via, path, intervals, context, workspace.word, arcs)
+        n_arcs = find_shortcut(i, j, via, analysis, workspace.word, arcs)
         if n_arcs < 0:
             return
-        saved = before - replacement_time(i, j, arcs, n_arcs, path, runs, context)
+        saved = before - replacement_time(i, j, arcs, n_arcs, analysis)
         if saved <= best:
             return
         n_lost, one = 0, -1
         if n_critical > 0:
-            n_lost, one = bins_missed(
-                i, j, arcs, n_arcs, workspace.critical, n_critical, path, intervals, context
-            )
+            n_lost, one = bins_missed(i, j, arcs, n_arcs, workspace.critical, n_critical, analysis)
             if n_lost == 0:
-                n_covered = bins_covered(i, j, arcs, n_arcs, path, intervals, context, workspace.new_bins)
+                n_covered = bins_covered(i, j, arcs, n_arcs, analysis, workspace.new_bins)
                 n_lost, one = bins_lost(n_touched, n_covered, workspace)
         if n_lost == 0:
             if is_clear(start, arcs, n_arcs, context):
@@ -250,7 +215,7 @@ def evaluate(
         if n_lost > 1 or via >= 0:
             return
         via = longest_interval(one, intervals.before[i], intervals.after[j], intervals)
-        middle = interval_middle(via, path, intervals, context)
+        middle = interval_middle(via, analysis)
         length = min_length(start, middle, context.radius) + min_length(middle, goal, context.radius)
         if most - length / context.speed <= best:
             return
@@ -267,7 +232,7 @@ def search_from(
     replacements: Replacements,
 ) -> None:
     """Find the best part to replace that begins at arc i; see `search_replacements`."""
-    path, intervals, runs, context = analysis
+    path, intervals = analysis.path, analysis.intervals
     n_touched, n_critical, at = 0, 0, intervals.before[i] - 1
     for j in range(i + 1, len(path.length)):
         while at < intervals.after[j]:
@@ -283,7 +248,7 @@ def search_from(
                 if workspace.covering_inside[own] == workspace.covering[own]:
                     workspace.critical[min(n_critical, most)] = own
                     n_critical += 1
-        if n_critical > most or max_saving(i, j, path, runs, context) > MAX_SAVING:
+        if n_critical > most or max_saving(i, j, analysis) > MAX_SAVING:
             break
         evaluate(i, j, n_critical, n_touched, analysis, workspace, replacements)
     for k in range(n_touched):
@@ -327,8 +292,9 @@ def search_replacements(
 
 
 @inner_kernel
-def max_saving(i: int, j: int, path: ArcPath, runs: GearRuns, context: CarContext) -> float:
+def max_saving(i: int, j: int, analysis: PathAnalysis) -> float:
     """Return the time [s] saved if the part from arc i to arc j took none: an upper bound for all shortcuts."""
+    path, _, runs, context = analysis
     outside = runs.before[i - 1] + path.length[i - 1] + runs.length[runs.run[j]] - runs.before[j]
     return float(section_time(i, j, runs) - outside / context.speed)
 
@@ -345,13 +311,7 @@ def longest_interval(own: int, first: int, last: int, intervals: BinIntervals) -
 
 @kernel
 def choose_replacements(
-    path: ArcPath,
-    intervals: BinIntervals,
-    runs: GearRuns,
-    covers: Bools,
-    count: Ints,
-    context: CarContext,
-    replacements: Replacements,
+    analysis: PathAnalysis, covers: Bools, count: Ints, replacements: Replacements
 ) -> Ints:
     """Choose parts to replace, largest saving first; no two of them touch.
 
@@ -359,6 +319,7 @@ def choose_replacements(
     -------
     The first arcs (k,) of the parts, in that order.
     """
+    path, intervals, runs, context = analysis
     arcs, word, gained = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), np.empty(MAX_BINS, np.int64)
     is_run_taken, is_taken = np.zeros(len(runs.length), np.bool_), np.zeros(len(intervals.bin), np.bool_)
     chosen, n_chosen = np.empty(len(path.length), np.int64), 0
@@ -376,8 +337,8 @@ def choose_replacements(
             continue
         if context.can_reverse and is_any(is_run_taken, runs.run[i - 1], runs.run[j]):
             continue
-        n_arcs = find_shortcut(i, j, replacements.via[i], path, intervals, context, word, arcs)
-        n_gained = bins_covered(i, j, arcs, n_arcs, path, intervals, context, gained)
+        n_arcs = find_shortcut(i, j, replacements.via[i], analysis, word, arcs)
+        n_gained = bins_covered(i, j, arcs, n_arcs, analysis, gained)
         for k in range(n_gained):
             count[gained[k]] += 1
         is_lost = False

@@ -20,9 +20,9 @@ import numpy as np
 
 from planners.cars.arc_path import (
     ArcPath,
-    BinIntervals,
     CarContext,
-    bin_intervals,
+    PathAnalysis,
+    analysed,
     car_context,
     even_arc_path,
     gear_runs,
@@ -38,7 +38,6 @@ from planners.cars.reeds_shepp import (
 )
 from planners.cars.settings import SHORTCUTS
 from planners.cars.shortcut_kernels import (
-    PathAnalysis,
     Replacements,
     choose_replacements,
     covering_intervals,
@@ -88,8 +87,8 @@ def _one_pass(
     -------
     The path, and whether each of its arcs is fresh.
     """
-    n, intervals, runs = len(path.length), bin_intervals(path, context), gear_runs(path, context)
-    analysis = PathAnalysis(path, intervals, runs, context)
+    n, analysis = len(path.length), analysed(path, context)
+    intervals = analysis.intervals
     covers = covering_intervals(intervals, context)
     count = np.bincount(intervals.bin[covers], minlength=context.need.size)
     must_stay = (intervals.bin >= 0) & (count[intervals.bin] == 0)
@@ -115,19 +114,18 @@ def _one_pass(
     except BaseException:
         threads.shutdown(cancel_futures=True)
         raise
-    chosen = np.sort(choose_replacements(path, intervals, runs, covers, count, context, replacements))
-    return _splice(path, intervals, context, replacements, chosen)
+    chosen = np.sort(choose_replacements(analysis, covers, count, replacements))
+    return _splice(analysis, replacements, chosen)
 
 
-def _splice(
-    path: ArcPath, intervals: BinIntervals, context: CarContext, replacements: Replacements, chosen: Ints
-) -> tuple[ArcPath, Bools]:
+def _splice(analysis: PathAnalysis, replacements: Replacements, chosen: Ints) -> tuple[ArcPath, Bools]:
     """Replace the parts that begin at the arcs `chosen` (k,).
 
     Returns
     -------
     The path, and whether each of its arcs (n,) is fresh: parts that begin there have not been evaluated.
     """
+    path, context = analysis.path, analysis.context
     buffer, word, at = empty_arcs(2 * MAX_ARCS), np.empty(MAX_ARCS), 0
     before = Arcs(path.length, path.bend, path.gear)
     fresh = replacements.saved > 0
@@ -136,7 +134,7 @@ def _splice(
     kept, is_fresh = list[Arcs](), list[Bools]()
     for i in chosen.tolist():
         end = int(replacements.end[i])
-        n = find_shortcut(i, end, int(replacements.via[i]), path, intervals, context, word, buffer)
+        n = find_shortcut(i, end, int(replacements.via[i]), analysis, word, buffer)
         kept += [take_arcs(before, slice(at, i)), take_arcs(buffer, slice(n))]
         is_fresh += [fresh[at:i], np.ones(n, dtype=np.bool_)]
         at = end
