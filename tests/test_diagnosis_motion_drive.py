@@ -194,25 +194,6 @@ def with_speeds(run: Run, v: Floats) -> Run:
     return replace(run, odom_twists=twists, odometry=np.column_stack([way, phi]))
 
 
-@pytest.mark.parametrize("seed", [4, *further(6)])
-@pytest.mark.parametrize(("creep", "is_told"), [(0.08, True), (0.0, False)])
-def test_a_base_that_rolls_on_is_unknown_however_seldom_it_stands(
-    creep: float, is_told: bool, seed: int
-) -> None:
-    """It creeps for two seconds after both times that it was told to stand for three."""
-    stops = ((10.0, 13.0), (40.0, 43.0))
-    run = make_run(seed, outages=stops)
-    told, v = run.commands.copy(), run.odom_twists[:, 0].copy()
-    for begin, end in stops:
-        before = run.commands[(run.cmd_stamps < begin) & (np.abs(run.commands[:, 0]) > 1e-3), 0]
-        told[(run.cmd_stamps >= begin) & (run.cmd_stamps < end)] = 0.0
-        rolls = (run.odom_stamps > begin + 0.2) & (run.odom_stamps < begin + 2.0)
-        v[rolls] += creep * np.sign(before[-1])
-    result = diagnose_drive(with_speeds(replace(run, commands=told), v), ROBOT)
-    statement = "" if result.unknown is None else result.unknown.statement
-    assert ("rolls on" in statement) == is_told and result.effects == ()
-
-
 def test_a_floor_that_slopes_is_unknown_by_its_own_look() -> None:
     run = make_run(7)
     faster = run.odom_twists[:, 0] + 0.03 * np.cos(run.odometry[:, 2] - 1.0)

@@ -272,7 +272,7 @@ def test_a_wheelbase_keeps_its_name_beside_structure_that_is_small() -> None:
 @pytest.mark.parametrize(
     ("effect", "words"),
     [
-        ({"play": 0.012}, "after a wheel reverses"),
+        ({"play": 0.012}, "wheel counts that were lost"),
         *further(({"pile": 0.03}, "depends on the heading"), ({"spin": 0.3}, "depends on the acceleration")),
     ],
     ids=["play in a gear", "pile of a carpet", "wheels that spin"],

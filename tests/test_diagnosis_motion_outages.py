@@ -16,7 +16,7 @@ def test_a_link_that_drops_out_is_unknown_and_said_so(seed: int) -> None:
     outages = tuple((begin, begin + 0.8) for begin in range(6, 78, 6))
     result = diagnose_drive(make_run(seed, outages=outages), ROBOT)
     assert result.effects == ()
-    assert result.unknown is not None and "pauses in which the base stands" in result.unknown.statement
+    assert result.unknown is not None and "a link that drops out" in result.unknown.statement
 
 
 def cut_out(run: Run, times: tuple[tuple[float, float], ...], slowest: float) -> Run:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 ODOMETRY_FAMILIES = {
-    "time": ("wheels_over_time", "wheel scales that change over time"),
     "steady change": ("wheels_steady_change", "wheels that change steadily, as a tyre that loses air"),
     "at rest": ("turn_at_rest", "a turn that continues at rest, as from a gyro bias"),
     "jump": ("wheels_jump", "wheel scales that change once"),
@@ -16,7 +15,6 @@ ODOMETRY_FAMILIES = {
     "acceleration": ("wheels_by_acceleration", "wheel scales that depend on the acceleration"),
     "place": ("wheels_by_place", "wheel scales that depend on the place"),
     "clock": ("clock_over_time", "a clock offset that changes over time"),
-    "reversal": ("wheel_play", "play of the wheels after a reversal"),
     "heading": ("distance_by_heading", "a distance scale that depends on the heading"),
     "compass": ("turn_by_heading", "a turn scale that depends on the heading, as of a compass near iron"),
     "spinning": ("wheels_spin", "wheels that spin while they speed up"),
@@ -34,19 +32,13 @@ ODOMETRY_FAMILIES = {
 
 DRIVE_FAMILIES = {
     "time": ("gain_over_time", "a gain of the motors that changes over time"),
-    "speed": ("gain_by_speed", "a gain of the motors that depends on speed or turn rate"),
     "direction": ("gain_by_direction", "a gain of the motors that differs between directions of motion"),
-    "timing": ("delay_over_time", "a delay of the motors that changes over time"),
     "coupling": ("gain_in_turns", "a speed that depends on the turn rate, or vice versa"),
     "answer": ("motors_ring", "a response of the motors that is not a single lag"),
     "lag by sense": ("lag_by_sense", "a lag that differs between speeding up and slowing down"),
     "heading": ("speed_by_heading", "a speed that depends on the heading, as on a sloped floor"),
-    "stops": ("pauses", "pauses despite commands to move"),
     "drops": ("speed_losses", "temporary losses of speed despite commands to continue"),
-    "rolls on": ("rolls_on", "a motion that continues after a stop command"),
     "jump": ("gain_jump", "a gain of the motors that changes once"),
-    "jump of the lag": ("lag_jump", "a lag of the motors that changes once"),
-    "jump of the delay": ("delay_jump", "a delay of the motors that changes once"),
     "deadband": ("dead_zone", "a dead zone of small commands"),
     "ramp": ("slow_ramp", "a slower acceleration than specified"),
     "slow": ("slow_speed_error", "a speed error that lasts for seconds"),

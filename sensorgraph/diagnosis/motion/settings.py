@@ -151,10 +151,6 @@ class OdometryStructureSettings:
     min_extent: float = 1.5
     """[m] minimum extent of a run for a reference that is distorted over the place; a camera is not distorted
     within less."""
-    least_turning: float = 0.02
-    """[m/s] minimum speed of a wheel that turns; a slower one may be at rest."""
-    play: float = 0.005
-    """[m] distance after a reversal of a wheel, within which play shows."""
     radius_factors: tuple[float, ...] = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
     """Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
     max_askew: float = 0.035
@@ -236,20 +232,16 @@ class DriveStructureSettings:
     """Shares of the maximum speed, below which the gain may differ."""
     rate_cuts: tuple[float, ...] = (0.12, 0.2, 0.35, 0.6)
     """Shares of the maximum turn rate, below which the gain may differ."""
-    still_share: float = 0.03
-    """Share of the maximum speed, below which a base stands."""
     asked_share: float = 0.15
     """Share of the maximum speed, above which the base is commanded to move."""
     stop_time: float = 0.25
     """[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
-    rolling_times: tuple[float, ...] = (0.6, 1.2, 2.5, 5.0)
-    """[s] for which a base may continue to move after a stop command."""
     answer_lags: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
     """[s] delays after the response to a command, at which a second response may follow."""
     answer_sigma: float = 0.3
     """Prior standard deviation of the second response."""
     delay_sigma: float = 0.05
-    """[s] prior standard deviation of a delay or a lag that changes."""
+    """[s] prior standard deviation of a lag that differs."""
     ramps: tuple[float, ...] = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
     """Shares of the acceleration in robot.yaml that a base may really have."""
 

@@ -12,33 +12,22 @@ from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
-from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
-from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.types import Bools, Floats, Ints
-
-WHAT_CHANGES = {"lag": (Column.LAG, ACTUATOR_LAG), "delay": (Column.DELAY, DEAD_TIME)}
-"""Motor parameters that a load, a warm gear or a restart may change during a run."""
 
 ANSWER = "answer"
 """Kind of the family of motors whose response is not a single lag."""
 
+
 RAMP = "ramp"
 """Kind of the families of a base that accelerates more slowly than specified."""
 
-ROLLS_ON = "rolls on"
-"""Kind of the families of a base that continues to move after a stop command."""
 
 LAG_BY_SENSE = "lag by sense"
 """Kind of the family of motors that speed up and slow down with different lags."""
 
+
 OTHER_MOTORS = (ANSWER, LAG_BY_SENSE, RAMP)
 """Kinds of the families of motors whose response is not a single lag, although a lag absorbs most of it."""
-
-ROLLING_SPEED = 0.05
-"""[m/s] typical speed of a base that continues to move after a stop command."""
-
-SLOWED_DOWN = 3.0
-"""Time constants after which a braking base stands: 5 % of its speed remain."""
 
 N_SIZES = 128
 """Number of sizes of a dead zone that are tried, for driving and for turning."""
@@ -56,14 +45,8 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     n = EVIDENCE.n_pieces
     piece = np.clip((n * share).astype(np.intp), 0, n - 1)
     pieces = [piece == k for k in range(1, n)]
-    top_v, top_omega = max(float(np.abs(v).max()), 1e-3), max(float(np.abs(omega).max()), 1e-3)
-    slow = [np.abs(v) < q * top_v for q in DRIVE.structure.speed_cuts]
-    slow_turns = [np.abs(omega) < q * top_omega for q in DRIVE.structure.rate_cuts]
-    by_delay = fit.columns[:, Column.DELAY]
-    timing = np.stack([by_delay * np.concatenate([mask, mask]) for mask in pieces], axis=1)
     return [
         _gains("time", "a gain that changes over time", model, fit, pieces, pieces),
-        _gains("speed", "a gain that depends on speed or turn rate", model, fit, slow, slow_turns),
         _gains(
             "direction",
             "a gain that differs forward and backward, or to the left and to the right",
@@ -72,20 +55,11 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
             [v < 0],
             [omega < 0],
         ),
-        StructureFamily(
-            kind="timing",
-            columns=timing,
-            sigma=DRIVE.structure.delay_sigma,
-            statement="a delay that changes over time",
-            least_change=_least_change(model, "delay"),
-        ),
         _gains_by_the_other(model, fit),
         _answers(model, fit),
         _lag_by_sense(model, fit),
         _slopes(model),
-        _stops(model, fit),
         *_drops(model, fit),
-        *_rolls_on(model, fit),
         *_jumps(model, fit, share, middle - rows.start[0]),
         *_deadbands(model, fit),
         *_ramps(model, fit),
@@ -200,22 +174,6 @@ def _by_commands(
     )
 
 
-def _stops(model: DriveModel, fit: DriveFit) -> StructureFamily:
-    """Return the family of a base that pauses although it is commanded to move."""
-    rows, settings = model.rows, DRIVE.structure
-    asked, moved, top = _asked_and_moved(model, fit)
-    still = (np.abs(moved) < settings.still_share * top).all(axis=0)
-    stands = still & (np.abs(asked) > settings.asked_share * top).any(axis=0) & rows.valid
-    commands, motors = model.simulation.commands, fit.motors
-    without = commands.values.copy()
-    for first, beyond in _long_stretches(model, stands):
-        begin = rows.start[first] - motors.delay - SLOWED_DOWN * motors.tau
-        end = rows.end[beyond - 1] - motors.delay
-        without[(commands.stamps > begin) & (commands.stamps < end)] = 0.0
-    statement = "pauses in which the base stands despite commands to move: a link that drops out, a watchdog, a bumper"
-    return _by_commands("stops", statement, model, fit, without)
-
-
 def _long_stretches(model: DriveModel, some: Bools) -> Ints:
     """Return the first row and the end (k, 2) of each stretch of rows (n,) that lasts longer than commands wait."""
     least = round(DRIVE.structure.stop_time / float(np.median(model.rows.end - model.rows.start)))
@@ -256,65 +214,22 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     return out
 
 
-def _rolls_on(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
-    """Return families of a base that continues in its last direction for some time after a stop command."""
-    stamps, values = model.simulation.commands.stamps, model.simulation.commands.values
-    stands = (np.abs(values) < MIN_MOTION).all(axis=1)
-    index = np.arange(len(stamps))
-    last, last_way = (
-        np.maximum.accumulate(np.where(some, index, 0))
-        for some in (~stands, np.abs(values[:, 0]) >= MIN_MOTION)
-    )
-    since = stamps - stamps[np.minimum(last + 1, len(stamps) - 1)]
-    times = DRIVE.structure.rolling_times
-    out = []
-    for time in times:
-        rolling = values.copy()
-        some = stands & (since < time)
-        rolling[some, 0] = ROLLING_SPEED * np.sign(values[last_way[some], 0])
-        statement = "a motion that continues after a stop command: the base creeps or rolls on"
-        out.append(_by_commands(ROLLS_ON, statement, model, fit, rolling, float(np.log(len(times)))))
-    return out
-
-
 def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:
-    """Return families for each moment at which gains, lag or delay may change once.
+    """Return families for each moment at which gains may change once.
 
     Parameters
     ----------
     share, passed : (n,) Elapsed part of the run, as a share and in s.
     """
     n, out = EVIDENCE.n_jumps, list[StructureFamily]()
-    price = float(np.log(3 * n))
+    price = float(np.log(n))
     for k in range(1, n + 1):
         if not TRIMMED <= k / (n + 1) <= 1 - TRIMMED:
             continue
         later = share > k / (n + 1)
         when = f"that changes once, {passed[later][0]:.0f} s into the run"
         out.append(_gains("jump", f"a gain {when}", model, fit, [later], [later], price))
-        for what, (column, _) in WHAT_CHANGES.items():
-            out.append(
-                StructureFamily(
-                    kind=f"jump of the {what}",
-                    columns=(fit.columns[:, column] * np.concatenate([later, later]))[:, None],
-                    sigma=DRIVE.structure.delay_sigma,
-                    statement=f"a {what} of the motors {when}",
-                    choice_price=price,
-                    least_change=_least_change(model, what),
-                )
-            )
     return out
-
-
-def _least_change(model: DriveModel, what: str) -> float:
-    """Return the change [s] of a delay, or a lag, during a run that matters: more than waits for the base may cause.
-
-    Commands in phase with the control loop of the base may all wait a period longer than before. Waits that spread
-    evenly over a period smear a step as a lag of less than half a period.
-    """
-    (size,) = WHAT_CHANGES[what][1].sizes.values()
-    period = model.robot.tolerances.control_period
-    return max(size, period if what == "delay" else period / 2)
 
 
 def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:

@@ -12,15 +12,9 @@ import numpy as np
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
-from sensorgraph.diagnosis.motion.wheels.each_wheel import (
-    reversals,
-    smoothed,
-    spinning,
-    turns_of_a_wheel,
-)
 from sensorgraph.diagnosis.motion.wheels.reference_structure import distorted_reference
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
-from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Wheels
 
 Part = Literal["distance", "turn", "distance and turn", "left wheel", "right wheel"]
@@ -32,6 +26,10 @@ JUMP = "jump"
 """Kind of the families of a scale that changes once."""
 CLOCK = "clock"
 """Kind of the families of a clock offset that changes over time."""
+SMOOTHED = 5
+"""Minimum number of increments over which a speed is averaged before its acceleration is computed."""
+RAMP = 0.25
+"""[s] minimum duration of that average: motors take that long, and ticks are not an acceleration."""
 
 
 def odometry_families(
@@ -51,7 +49,6 @@ def odometry_families(
     by_heading: list[Scale] = [("distance", ahead * np.cos(phi)), ("distance", ahead * np.sin(phi))]
     by_compass: list[Scale] = [("turn", np.cos(phi)), ("turn", np.sin(phi))]
     scales: list[tuple[str, str, Sequence[Scale]]] = [
-        ("time", "a scale that changes over time", _pieces(wheels)),
         (
             "steady change",
             "a steady change of the wheels during the run: a tyre that loses air, a load that shifts",
@@ -78,8 +75,7 @@ def odometry_families(
     families = [_scales(rows, wheels, base, *one) for one in scales if one[2]]
     families += [_at_rest(rows, wheels), *_jumps(rows, wheels, base), *_for_a_while(rows, wheels, base)]
     families += [_clock_pieces(rows, n) for n in ODOMETRY.structure.n_clock_pieces]
-    families += [reversals(rows, wheels, rates, base), spinning(rows, wheels, base)]
-    families += turns_of_a_wheel(rows, wheels, size)
+    families += [_spinning(rows, wheels, base), *_turns_of_a_wheel(rows, wheels, size)]
     is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent
     if is_wide and not is_reference_straight:
         families += distorted_reference(rows, rows.D_along @ wheels.distance)
@@ -122,26 +118,14 @@ def _scaled(
 def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     """Return the family of a turn rate that persists at rest, and may change over time."""
     time = wheels.end - wheels.start
-    piece = _piece(wheels)
-    n = EVIDENCE.n_pieces
+    n, passed = EVIDENCE.n_pieces, wheels.middle - wheels.start[0]
+    piece = np.clip((n * passed / (wheels.end[-1] - wheels.start[0])).astype(np.intp), 0, n - 1)
     turns = np.stack([time, *(time * (piece == k) for k in range(n))], axis=1)
     return StructureFamily(
         kind="at rest",
         columns=rows.of_wheels(np.zeros_like(turns), turns),
         statement="a turn that continues at rest: a gyro bias in the odometry, or a reference whose heading drifts",
     )
-
-
-def _piece(wheels: WheelIncrements) -> Ints:
-    """Return the index of the piece of the run, of `n_pieces`, in which each increment lies (n,)."""
-    n = EVIDENCE.n_pieces
-    span = wheels.end[-1] - wheels.start[0]
-    return np.asarray(np.clip((n * (wheels.middle - wheels.start[0]) / span).astype(np.intp), 0, n - 1))
-
-
-def _pieces(wheels: WheelIncrements) -> list[Scale]:
-    piece = _piece(wheels)
-    return [(part, piece == k) for k in range(EVIDENCE.n_pieces) for part in PARTS]
 
 
 def _jumps(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
@@ -229,7 +213,7 @@ def _tight_turns(rates: Floats, base: float) -> list[Scale]:
 
 
 def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
-    smooth = np.stack([smoothed(x, wheels) for x in rates.T], axis=1)
+    smooth = np.stack([_smoothed(x, wheels) for x in rates.T], axis=1)
     acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
     a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
     return [("distance", acceleration[:, 0] > a), ("turn", acceleration[:, 1] > alpha)]
@@ -255,3 +239,60 @@ def _clock_pieces(rows: OdometryRows, n: int) -> StructureFamily:
         columns=np.stack(columns, axis=1),
         statement="a clock offset that changes over time",
     )
+
+
+def _turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
+    """Return families of wheels that are out of round or misaligned: an error that repeats with every turn.
+
+    The turns of a wheel are counted by its own distance. Over a long run, this requires a more accurate
+    radius than robot.yaml specifies, so that several radii are tried.
+    """
+    left, right = wheels.sides(size.base)
+    nothing, out = np.zeros(len(left)), list[StructureFamily]()
+    for factor in ODOMETRY.structure.radius_factors:
+        radius = factor * size.radius
+        columns = [rows.of_sides(lost, nothing, size.base) for lost in _by_angle(left, radius)]
+        columns += [rows.of_sides(nothing, lost, size.base) for lost in _by_angle(right, radius)]
+        out.append(
+            StructureFamily(
+                kind="turns of a wheel",
+                columns=np.stack(columns, axis=1),
+                statement="an error that repeats with every turn of a wheel: it is out of round, or its encoder is misaligned",
+                choice_price=float(np.log(len(ODOMETRY.structure.radius_factors))),
+            )
+        )
+    return out
+
+
+def _by_angle(way: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Return the distance (n,) [m] of a wheel, multiplied by cosine and sine of its angle."""
+    angle = (np.cumsum(way) - way / 2) / radius
+    return way * np.cos(angle), way * np.sin(angle)
+
+
+def _spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> StructureFamily:
+    """Return the family of wheels that lose a share of their distance while they speed up, each separately.
+
+    Parameters
+    ----------
+    base : [m] Wheelbase.
+    """
+    period, ways = wheels.end - wheels.start, wheels.sides(base)
+    speeds = [_smoothed(way / period, wheels) for way in ways]
+    gained = [np.gradient(speed, wheels.middle) * np.sign(speed) for speed in speeds]
+    columns = []
+    for level in np.quantile(np.concatenate(gained), ODOMETRY.structure.spinning_quantiles):
+        left, right = (way * (gain > max(level, 0.0)) for way, gain in zip(ways, gained, strict=True))
+        columns.append(rows.of_sides(left, right, base))
+    return StructureFamily(
+        kind="spinning",
+        columns=np.stack(columns, axis=1),
+        statement="a loss of motion while wheels speed up: they spin",
+    )
+
+
+def _smoothed(x: Floats, wheels: WheelIncrements) -> Floats:
+    """Return a series (n,) averaged over several increments; their number is odd, so that there is no shift."""
+    count = max(SMOOTHED, round(RAMP / float(np.median(wheels.end - wheels.start))))
+    count |= 1
+    return np.convolve(np.pad(x, count // 2, mode="edge"), np.ones(count) / count, mode="valid")
