@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.considered import considered_section
+from sensorgraph.diagnosis.report.data import plain
 from sensorgraph.diagnosis.report.driving import driving_section
 from sensorgraph.diagnosis.report.page_shell import page_shell, picture, warnings
 from sensorgraph.diagnosis.report.quantities import (
@@ -20,7 +22,6 @@ from sensorgraph.diagnosis.report.quantities import (
     percent,
     place_text,
     title_of,
-    tolerance_text,
 )
 from sensorgraph.diagnosis.report.summary import main_channel, summarise, undecided_rivals
 from sensorgraph.diagnosis.result import ChannelResult
@@ -32,8 +33,6 @@ CHANNELS = {
     "odometry": "odometry against pose",
     "drive": "odometry against command",
 }
-EMPTY_VALUES = ("", "None", "False", "0")
-"""Values of settings that are not listed."""
 FILES = {
     "report.json": "all numbers, SI units",
     "effects.yaml": "the effects found; pass it to record, evaluate and diagnose with --effects",
@@ -280,34 +279,10 @@ def _value(value: Any) -> str:
 
 
 def _settings_section(finding: Finding, settings: Mapping[str, Any]) -> str:
-    rows = [
-        line for line in (*_lines_of(finding.intake), *_lines_of(settings)) if line[1] not in EMPTY_VALUES
-    ]
-    body = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in rows)
+    """Return input and settings, as in report.json."""
+    data = json.dumps(plain({"intake": finding.intake, "settings": settings}), indent=1, ensure_ascii=False)
     files = "".join(f"<li><code>{name}</code> {escape(what)}</li>" for name, what in FILES.items())
-    return f"<h2>Input and settings</h2><table class='pairs'>{body}</table><footer><p>In the same folder:</p><ul>{files}</ul></footer>"
-
-
-def _lines_of(data: Mapping[str, Any], lead: str = "") -> list[tuple[str, str]]:
-    """Return nested plain data as lines, without the empty or zero values of nested levels."""
-    out: list[tuple[str, str]] = []
-    for key, value in data.items():
-        label = f"{lead}{key}".replace("_", " ")
-        if isinstance(value, Mapping):
-            out += _lines_of({k: v for k, v in value.items() if v}, f"{label}: ")
-        elif isinstance(value, float) and lead.startswith("tolerances"):
-            out.append((label, tolerance_text(key, value)))
-        elif isinstance(value, list | tuple):
-            out.append((label, ", ".join(map(_setting, value))))
-        elif isinstance(value, int) and not isinstance(value, bool):
-            out.append((label, f"{value:,}"))
-        else:
-            out.append((label, _setting(value)))
-    return out
-
-
-def _setting(value: Any) -> str:
-    """Return a setting as text; of a mapping, its reason in words."""
-    if isinstance(value, Mapping) and "why" in value:
-        return str(value["why"])
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return (
+        f"<h2>Input and settings</h2><details><summary>as in report.json, SI units</summary><pre>{escape(data)}</pre>"
+        f"</details><footer><p>In the same folder:</p><ul>{files}</ul></footer>"
+    )

@@ -43,7 +43,7 @@ table.ledger td { font-size: .86rem; } table.ledger td:nth-child(2) { width: 34%
 tr.named, tr.unknown, tr.undecided { background: var(--pale); }
 small { color: var(--soft); }
 sub { font-size: .72em; }
-code { font: .88em ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
+code, pre { font: .88em ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; } pre { white-space: pre-wrap; }
 ul { padding-left: 1.1rem; margin: .5rem 0; } li { margin: .2rem 0; }
 details summary { cursor: pointer; color: var(--soft); font-size: .92rem; margin-top: .6rem; }
 footer { margin-top: 4rem; padding-top: 1rem; border-top: 1px solid var(--line); color: var(--soft); font-size: .85rem; }

@@ -112,13 +112,6 @@ def percent(p: float | None) -> str:
     return "< 1 %" if p < 0.01 else f"{100 * round(p, 6):.0f} %"
 
 
-def tolerance_text(name: str, value: float) -> str:
-    """Return one of robot.yaml's tolerances with a unit."""
-    if name.endswith("yaw"):
-        return f"{math.degrees(value):.3g}°"
-    return f"{1000 * value:.3g} {'ms' if name in ('stamp', 'control_period', 'transport_jitter') else 'mm'}"
-
-
 def title_of(name: str) -> str:
     """Return the readable title of an effect."""
     return EFFECTS[name].title if name in EFFECTS else name
