@@ -25,8 +25,8 @@ from planners.trajectory import Trajectory
 from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace
 from sensorgraph.diagnosis.next_run.design import next_run
 from sensorgraph.diagnosis.next_run.drives import random_drive
+from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS
 from sensorgraph.diagnosis.next_run.questions import between
-from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
@@ -34,7 +34,6 @@ from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import Robot, default_robot
 
 N_SENSOR_RAYS = 91
-DECIDED = NEXT_RUN.forecast.decided_nats
 
 
 def wall_of(arena: Arena) -> tuple[str, float]:
@@ -141,10 +140,10 @@ def main() -> None:
         )
         print(f"    {chosen.why}")
     kinds = {
-        f"a median random run leaves open (below {DECIDED:g} nats)": [
-            n for n in ratios if medians[n] < DECIDED
+        f"a median random run leaves open (below {DECIDED_NATS:g} nats)": [
+            n for n in ratios if medians[n] < DECIDED_NATS
         ],
-        "any run tells apart": [n for n in ratios if medians[n] >= DECIDED],
+        "any run tells apart": [n for n in ratios if medians[n] >= DECIDED_NATS],
     }
     for words, names in kinds.items():
         if names:

@@ -292,7 +292,13 @@ def main() -> None:
     groups = (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE)
     of_motion = [s for g in groups for s in settings_of("motion", g)]
     parts = {
-        "motion": (MOTION_CASES, [*of_motion, *constants_of("motion", sensorgraph.diagnosis.motion)]),
+        "motion": (
+            MOTION_CASES,
+            [
+                *settings_of("motion", motion.EVIDENCE),
+                *constants_of("motion", sensorgraph.diagnosis.motion),
+            ],
+        ),
         "scan": (SCAN_CASES, [s for s in of_scans if s.holder not in JUDGING]),
         "judging scans": (SCAN_CASES, [s for s in of_scans if s.holder in JUDGING]),
     }

@@ -9,6 +9,14 @@ import numpy as np
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.types import Floats
 
+MIN_DRIFT = 0.05
+"""[m] position error after that time, above which it matters to a user. For a robot at 0.4 m/s;
+proportional to its speed."""
+MIN_SPEED_ERROR = 0.005
+"""[m/s] speed error of the wheels, above which it matters to a user; also proportional to the speed."""
+MIN_YAW_ERROR = 0.005
+"""[rad] distortion of the reference headings, above which it matters to a user."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationError:
@@ -37,7 +45,7 @@ class SimulationError:
         """
         factor = top_speed / EVIDENCE.reference_speed
         drift, speed = sure_share(evidence) * self.drift, sure_share(evidence) * self.speed
-        return drift > EVIDENCE.min_drift * factor or speed > EVIDENCE.min_speed_error * factor
+        return drift > MIN_DRIFT * factor or speed > MIN_SPEED_ERROR * factor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +68,7 @@ class ReferenceError:
     def is_material(self, top_speed: float, evidence: float) -> bool:
         """Tell whether the error certainly matters to a user, given the evidence [nats] that it is not zero."""
         share = sure_share(evidence)
-        return share * self.place > EVIDENCE.min_place_error or share * self.yaw > EVIDENCE.min_yaw_error
+        return share * self.place > EVIDENCE.min_place_error or share * self.yaw > MIN_YAW_ERROR
 
 
 def sure_share(evidence: float) -> float:

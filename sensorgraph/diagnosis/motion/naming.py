@@ -21,6 +21,9 @@ ABSURD = Objection("absurd_wheels", "odometry and reference poses do not belong 
 """Why effects with sufficient evidence are not named."""
 WRONG_BY_HALF = 0.5
 """Absolute scale error of a wheel all over a run, above which odometry and reference poses do not belong together."""
+LEAD_OVER_UNKNOWN = 3.0
+"""Ratio of the evidence of an effect to that of a difference that no effect explains, above which it keeps its name.
+Evidence grows with the square of a size."""
 
 
 def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> ChannelResult:
@@ -53,7 +56,7 @@ def _weaker(result: ChannelResult, unknown: Unknown | None, words: str) -> dict[
     """Return the effects that may be a part of a difference that no effect explains (`lead_over_unknown`)."""
     if unknown is None:
         return {}
-    why, least = Objection("weaker_than_unknown", words), EVIDENCE.lead_over_unknown * unknown.statistic
+    why, least = Objection("weaker_than_unknown", words), LEAD_OVER_UNKNOWN * unknown.statistic
     return {i: why for i, a in enumerate(result.effects) if (a.evidence or 0.0) < least}
 
 

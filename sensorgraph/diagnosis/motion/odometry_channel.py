@@ -11,7 +11,6 @@ import numpy as np
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.backwards import counts_backwards
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
@@ -23,6 +22,9 @@ from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.localization.locate import is_located
 from sensorgraph.world.robot import Robot
+
+MIN_CLOCK_SHIFT = 3e-4
+"""[s] minimum change of the clock offset for which the rows are computed again."""
 
 
 def diagnose_odometry(
@@ -47,7 +49,7 @@ def diagnose_odometry(
     rng = np.random.default_rng(seed)
     model = WheelModel(rows, signals.wheels, robot)
     late = model.clock_left()
-    moved = rows_at(signals, rows.clock + late) if abs(late) > ODOMETRY.min_clock_shift else None
+    moved = rows_at(signals, rows.clock + late) if abs(late) > MIN_CLOCK_SHIFT else None
     if moved is not None:
         model = WheelModel(moved, signals.wheels, robot)
     terms = select(model, rng, is_reference_straight=is_reference_straight)

@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.noise_kernels import robust_misfit
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.whitening import WhiteningFilter, filter_of, huber_loss
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
@@ -33,6 +33,14 @@ FIRST_SIMPLEX = (0.7, 1.5, 1.5, 1.0)
 """Edge lengths of the first simplex."""
 MIN_INNOVATION = 1e-6
 """Minimum share of the variance that the past does not predict."""
+MAX_WALK = 3.0
+"""Maximum density of the wheels' random walk, as a multiple of that in robot.yaml."""
+MAX_MEMORY = 1.0
+"""[s] maximum memory of the reference noise."""
+FILTER_ORDER = 24
+"""Order of the whitening filters of the odometry channel."""
+MAX_WANDER = 4.0
+"""Maximum slow part of the reference noise, as a multiple of the standard deviation in robot.yaml."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +91,7 @@ def difference_autocovariance(
     walk : [m/√s or rad/√s] Square root of the density of the wheels' random walk.
     period : [s] Between two averages.
     """
-    lags = np.arange(-1, ODOMETRY.filter_order + 2)
+    lags = np.arange(-1, FILTER_ORDER + 2)
     level = wander**2 * memory ** np.abs(lags) + white**2 * (lags == 0)
     out = 2 * level[1:-1] - level[:-2] - level[2:]
     out[0] += walk**2 * period * 2 / 3
@@ -98,13 +106,12 @@ def fit_limited_noise(
 
     The parameters minimise `robust_misfit`, found by the simplex method of Nelder and Mead.
     """
-    settings = ODOMETRY.noise
 
     def autocovariance(p: Floats) -> Floats:
         white = limits.wander * np.exp(np.clip(p[0], -MAX_LOGIT, MAX_LOGIT))
-        wander = limits.wander * settings.max_wander / (1 + np.exp(-p[1]))
-        memory = np.exp(-limits.period / settings.max_memory) / (1 + np.exp(-p[2]))
-        walk = limits.walk * settings.max_walk / (1 + np.exp(-p[3]))
+        wander = limits.wander * MAX_WANDER / (1 + np.exp(-p[1]))
+        memory = np.exp(-limits.period / MAX_MEMORY) / (1 + np.exp(-p[2]))
+        walk = limits.walk * MAX_WALK / (1 + np.exp(-p[3]))
         gamma = difference_autocovariance(white, wander, memory, walk, limits.period)
         gamma[0] *= 1 + MIN_INNOVATION
         return gamma

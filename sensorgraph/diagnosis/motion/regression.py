@@ -22,6 +22,8 @@ SHUT_SIGMA = 1e-9
 """Prior standard deviation of a coefficient that is fixed at 0."""
 RIDGE = 1e-8
 """Share of the mean square of the columns; keeps normal equations without a prior regular."""
+HELD_OUT_BLOCK = 5.0
+"""[s] duration of the blocks that are held out for the gap."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def held_out_residual(
     columns, y : (k n, .), (k n,) Rows of k kinds before whitening.
     stamps : (n,) [s]
     """
-    block = ((stamps - stamps[0]) // EVIDENCE.held_out_block).astype(np.intp)
+    block = ((stamps - stamps[0]) // HELD_OUT_BLOCK).astype(np.intp)
     half, out = np.tile(block % 2, len(y) // len(stamps)), np.zeros(len(y))
     for side in (0, 1):
         train = half == side

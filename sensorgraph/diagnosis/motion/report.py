@@ -37,6 +37,8 @@ from sensorgraph.types import Floats
 
 ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
 """Why an effect next to structure is not named."""
+OBSERVABLE_SIZE = 3.0
+"""Size of an effect that should be observable, in materialities."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,7 +178,7 @@ def _unseen_effects(tried: Iterable[TriedEffect]) -> dict[str, str]:
         effect = one.amendment.effect
         if not one.variance or not effect.sizes:
             continue
-        size = EVIDENCE.observable_size * next(iter(effect.sizes.values()))
+        size = OBSERVABLE_SIZE * next(iter(effect.sizes.values()))
         expected = 0.5 * size**2 / one.variance
         if expected - EVIDENCE.price < EVIDENCE.threshold:
             out[effect.name] = (

@@ -12,9 +12,21 @@ from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.planning import WALL_MARGIN
 from planners.reach import Reach, reach
-from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
+
+SPARE_CLEARANCE = 0.08
+"""[m] additional clearance of places, where available."""
+MAX_SPREAD_PLACES = 4000
+"""Maximum number of reachable places among which distant ones are chosen."""
+N_PLACES = 14
+"""Number of places in the whole room at which motions start, or through which the paths between them lead."""
+N_SWEEP_HEADINGS = 6
+"""Number of headings at each place for sweeps."""
+SWEEP_ANGLE = float(np.radians(60.0))
+"""[rad] of a sweep to either side."""
+CELL = 0.25
+"""[m] cell size of the grid of reachable places."""
 
 
 class MotionKind(StrEnum):
@@ -70,18 +82,15 @@ class DrivableSpace:
             raise PlanError(
                 f"robot.yaml: `drive` is {robot.drive!r}; a next run needs a robot that can turn in place (`diff`)"
             )
-        settings = NEXT_RUN.candidates
         barriers = Barriers(arena)
-        free = reach(
-            arena, barriers, clearance=robot.footprint_radius + WALL_MARGIN, cell=settings.cell, start=start
-        )
-        roomy = free.mask & (free.distance >= free.clearance + settings.spare_clearance)
+        free = reach(arena, barriers, clearance=robot.footprint_radius + WALL_MARGIN, cell=CELL, start=start)
+        roomy = free.mask & (free.distance >= free.clearance + SPARE_CLEARANCE)
         index = np.nonzero(roomy if roomy.any() else free.mask)
         return cls(arena=arena, robot=robot, barriers=barriers, reach=free, nodes=free.nodes(index))
 
     def spread_places(self, n: int, rng: np.random.Generator) -> Floats:
         """Return n places (n, 2) [m] far from each other, by farthest-point sampling."""
-        nodes = self.nodes[rng.permutation(len(self.nodes))[: NEXT_RUN.candidates.max_spread_places]]
+        nodes = self.nodes[rng.permutation(len(self.nodes))[:MAX_SPREAD_PLACES]]
         chosen = [nodes[0]]
         distance = np.hypot(*(nodes - nodes[0]).T)
         while len(chosen) < min(n + 1, len(nodes)):
@@ -96,13 +105,12 @@ class DrivableSpace:
 
 def candidate_motions(space: DrivableSpace, rng: np.random.Generator) -> list[CandidateMotion]:
     """List spins and sweeps at places in the whole room, and shuttles between them."""
-    settings = NEXT_RUN.candidates
-    places = space.spread_places(settings.n_places, rng)
+    places = space.spread_places(N_PLACES, rng)
     out = [CandidateMotion(kind=MotionKind.SPIN, place=_xy(p), heading=0.0) for p in places]
     turn = float(rng.uniform(-np.pi, np.pi))
     for p in places:
-        for k in range(settings.n_sweep_headings):
-            heading = float(wrap(turn + 2 * np.pi * k / settings.n_sweep_headings))
+        for k in range(N_SWEEP_HEADINGS):
+            heading = float(wrap(turn + 2 * np.pi * k / N_SWEEP_HEADINGS))
             out.append(CandidateMotion(kind=MotionKind.SWEEP, place=_xy(p), heading=heading))
     i, j = np.triu_indices(len(places), 1)
     length = np.hypot(*(places[j] - places[i]).T)

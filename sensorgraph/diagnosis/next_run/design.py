@@ -26,6 +26,7 @@ from planners.errors import PlanError
 from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.diagnosis.next_run.candidate_motions import (
+    SWEEP_ANGLE,
     CandidateMotion,
     DrivableSpace,
     MotionKind,
@@ -33,12 +34,12 @@ from sensorgraph.diagnosis.next_run.candidate_motions import (
 )
 from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
 from sensorgraph.diagnosis.next_run.forecast import (
+    DECIDED_NATS,
     EvidenceForecast,
     MotionSamples,
     OpenQuestion,
     planned_scans,
 )
-from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
@@ -46,6 +47,16 @@ from sensorgraph.world.robot import Robot
 
 MAX_DESCRIBED = 3
 """Maximum number of motions that the explanation of a run describes."""
+MAX_OVERTIME = 1.05
+"""Maximum duration of a drive, as a multiple of the requested one."""
+N_RANDOM = 9
+"""Number of random drives for comparison."""
+SAMPLE_INTERVAL = 1.0
+"""[s] maximum interval between the sample moments of a whole drive."""
+MIN_SAMPLES = 40
+"""Minimum number of sample moments of a whole drive."""
+N_SAMPLES = 6
+"""Number of sample moments of a motion; twice as many for a spin."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,7 +149,7 @@ def next_run(
         for part in (slice(None), *_parts_by_kind(motions))
     ]
     drives = build_drives(space, motions, allocations, duration, start, seed)
-    random = [random_drive(space, rng, duration) for _ in range(NEXT_RUN.drives.n_random)]
+    random = [random_drive(space, rng, duration) for _ in range(N_RANDOM)]
     curves = [*(curve for curve, _ in drives), *random]
     nats, score = _rate(questions, curves, arena, robot, duration)
     for k in np.argsort(-score[: len(drives)]).tolist():
@@ -185,7 +196,7 @@ def _rate(
     length = np.array([c.duration for c in curves])
     nats = nats * np.minimum(duration / length, 1.0)  # a longer drive gets no credit for the extra time
     score = np.log1p(nats).sum(axis=0)  # each question counts
-    score -= 1e3 * (length > NEXT_RUN.drives.max_overtime * duration)  # only as a last resort
+    score -= 1e3 * (length > MAX_OVERTIME * duration)  # only as a last resort
     return nats, score
 
 
@@ -207,19 +218,18 @@ def expected_evidence(
 
 def motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> MotionSamples:
     """Return sample moments of a motion, back and forth, spread over the run."""
-    limits, settings = robot.limits, NEXT_RUN.candidates
-    n_samples = settings.n_samples
+    limits = robot.limits
     x, y = motion.place
     if motion.kind is MotionKind.SHUTTLE:
-        share = (np.arange(n_samples) + 0.5) / n_samples
+        share = (np.arange(N_SAMPLES) + 0.5) / N_SAMPLES
         c, s = np.cos(motion.heading), np.sin(motion.heading)
-        along = motion.length * np.repeat(share[::2] + 0.5 / n_samples, 2)
+        along = motion.length * np.repeat(share[::2] + 0.5 / N_SAMPLES, 2)
         poses = np.stack([x + along * c, y + along * s, np.full(len(along), motion.heading)], axis=1)
         v = np.where(np.arange(len(along)) % 2, -1.0, 1.0) * limits.v
         twists = np.stack([v, np.zeros(len(along))], axis=1)
     else:
         is_spin = motion.kind is MotionKind.SPIN
-        n, angle = (2 * n_samples, np.pi) if is_spin else (n_samples, settings.sweep_angle)
+        n, angle = (2 * N_SAMPLES, np.pi) if is_spin else (N_SAMPLES, SWEEP_ANGLE)
         phi = motion.heading + angle * (2 * (np.arange(n) + 0.5) / n - 1)
         poses = np.stack([np.full(n, x), np.full(n, y), phi], axis=1)
         omega = np.where(np.arange(n) % 2, -1.0, 1.0) * limits.omega
@@ -231,7 +241,7 @@ def motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> Mo
 
 def _drive_samples(curve: Curve) -> MotionSamples:
     """Return sample moments of a whole drive, evenly spaced in time."""
-    n = max(int(curve.duration / NEXT_RUN.drives.sample_interval), NEXT_RUN.drives.min_samples)
+    n = max(int(curve.duration / SAMPLE_INTERVAL), MIN_SAMPLES)
     stamps = (np.arange(n) + 0.5) / n * curve.duration
     poses, twists, _ = curve.sample(stamps)
     return MotionSamples(poses=poses, twists=twists, times=stamps, duration=curve.duration)
@@ -253,7 +263,7 @@ def _phrase(motion: CandidateMotion, arena: Arena, robot: Robot) -> str:
         return f"spins in both directions at {at}"
     facing = _faced_wall(arena, motion)
     if motion.kind is MotionKind.SWEEP:
-        degrees = np.degrees(NEXT_RUN.candidates.sweep_angle)
+        degrees = np.degrees(SWEEP_ANGLE)
         return f"turns fast {degrees:.0f} degrees to either side at {at}, facing {facing}"
     x, y = motion.end
     return f"drives back and forth at {robot.limits.v:g} m/s between {at} and ({x:.1f}, {y:.1f}), facing {facing}"
@@ -261,7 +271,7 @@ def _phrase(motion: CandidateMotion, arena: Arena, robot: Robot) -> str:
 
 def _remark_if_easy(median: float) -> str:
     """Return a remark if any run would decide the question."""
-    if median < NEXT_RUN.forecast.decided_nats:
+    if median < DECIDED_NATS:
         return ""
     return f" (most random drives would also decide this: their median expected log Bayes factor is {median:,.0f})"
 

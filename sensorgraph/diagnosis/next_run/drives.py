@@ -12,12 +12,31 @@ from planners.arena import wrap
 from planners.curve import Curve, CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
-from sensorgraph.diagnosis.next_run.candidate_motions import CandidateMotion, DrivableSpace, MotionKind
-from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
+from sensorgraph.diagnosis.next_run.candidate_motions import (
+    N_PLACES,
+    SWEEP_ANGLE,
+    CandidateMotion,
+    DrivableSpace,
+    MotionKind,
+)
 from sensorgraph.types import Floats
 
 Drive = tuple[Curve, list[CandidateMotion]]
 """A curve, and the motions in it."""
+END_PAUSE = 0.2
+"""[s] standstill at the end."""
+PACE = (0.4, 1.0)
+"""Range of the speeds, as shares of the robot's limits."""
+P_SPIN = 0.26
+"""Probability of a spin before the next place."""
+COUNTS = (1, 4)
+"""Numbers of motions in a drive, one version each."""
+ROUNDS = (1, 2)
+"""Numbers of passes through the motions, so that changes over time are observable; one version each."""
+RANDOM_SPIN = (0.8, 4.5)
+"""[rad] range of a spin."""
+N_RANDOM_PLACES = 16
+"""Number of places that are drawn for a random move; the first with a free straight path is taken."""
 
 
 def build_drives(
@@ -40,13 +59,12 @@ def build_drives(
     ------
     PlanError : No motion can be reached from the start.
     """
-    settings = NEXT_RUN.drives
     out: list[Drive] = []
     seen = set()
     for time in allocations:
         order = np.argsort(-time)
-        for count in settings.counts:
-            for rounds in settings.rounds:
+        for count in COUNTS:
+            for rounds in ROUNDS:
                 some = order[:count]
                 version = (tuple(sorted(some.tolist())), rounds if len(some) > 1 else 1)
                 if version in seen:
@@ -89,7 +107,7 @@ class DriveBuilder:
                 self._move(motions[k], clock + (self.duration - clock) * float(share[k]) / shares_left)
                 used += [] if motions[k] in used else [motions[k]]
             shares_left -= float(share[k])
-        self.curve_builder.wait(NEXT_RUN.drives.end_pause)
+        self.curve_builder.wait(END_PAUSE)
         return used
 
     def _move(self, motion: CandidateMotion, until: float) -> None:
@@ -111,7 +129,7 @@ class DriveBuilder:
                 return
 
     def _sweep(self, motion: CandidateMotion, until: float) -> None:
-        builder, angle = self.curve_builder, NEXT_RUN.candidates.sweep_angle
+        builder, angle = self.curve_builder, SWEEP_ANGLE
         builder.turn(float(wrap(motion.heading - angle - builder.pose[2])))
         sign = 1.0
         while True:
@@ -159,7 +177,7 @@ class DriveBuilder:
         space = self.space
         if space.are_clear(here[None], there[None])[0]:
             return np.array([here, there])
-        via = space.spread_places(NEXT_RUN.candidates.n_places, np.random.default_rng(self.seed))
+        via = space.spread_places(N_PLACES, np.random.default_rng(self.seed))
         points = np.concatenate([here[None], there[None], via])
         i, j = np.triu_indices(len(points), 1)
         cost = np.hypot(*(points[j] - points[i]).T)
@@ -192,17 +210,17 @@ def _nearest_neighbour_tour(places: Sequence[tuple[float, float]], start: Floats
 
 def random_drive(space: DrivableSpace, rng: np.random.Generator, duration: float) -> Curve:
     """Drive between random places at random speeds for `duration` [s], with occasional spins."""
-    settings, limits, nodes = NEXT_RUN.random, space.robot.limits, space.nodes
+    limits, nodes = space.robot.limits, space.nodes
     builder = CurveBuilder(np.array([*nodes[rng.integers(len(nodes))], rng.uniform(-np.pi, np.pi)]), limits)
     while builder.clock < duration:
-        pace = float(rng.uniform(*settings.pace))
+        pace = float(rng.uniform(*PACE))
         builder.limits = replace(limits, v=pace * limits.v)
         builder.spin = pace * limits.omega
-        if rng.random() < settings.p_spin:
-            builder.turn(float(rng.choice([-1.0, 1.0]) * rng.uniform(*settings.spin)), "spin")
+        if rng.random() < P_SPIN:
+            builder.turn(float(rng.choice([-1.0, 1.0]) * rng.uniform(*RANDOM_SPIN)), "spin")
         else:
-            places = nodes[rng.integers(len(nodes), size=settings.n_places)]
-            here = np.repeat(builder.pose[None, :2], settings.n_places, axis=0)
+            places = nodes[rng.integers(len(nodes), size=N_RANDOM_PLACES)]
+            here = np.repeat(builder.pose[None, :2], N_RANDOM_PLACES, axis=0)
             straight = np.flatnonzero(space.are_clear(here, places))
             if len(straight):
                 step = places[straight[0]] - builder.pose[:2]

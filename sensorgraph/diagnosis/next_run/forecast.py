@@ -19,7 +19,6 @@ import numpy as np
 from scipy.special import ndtr
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.diagnosis.scan.fit import cast, solver_for
 from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings
@@ -31,6 +30,18 @@ from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 Model = tuple[Amendment, ...]
+MAX_NATS_PER_RAY = 5.0
+"""[nats] maximum evidence of a single ray."""
+LINEAR_SIGMAS = 4.0
+"""Difference in standard deviations, up to which a ray counts by its linearised residual on any wall."""
+P_LOST = 2e-3
+"""Probability of a missing return or an outlier under any hypothesis."""
+MAX_RAYS = 46
+"""Maximum number of rays of a scan that are cast; each represents an equal number of rays."""
+MAX_P_ALTERNATIVE = 2e-3
+"""Probability of reading the other side of a depth edge, above which a ray does not count."""
+DECIDED_NATS = 50.0
+"""[nats] lead of an effect over its rival, above which the question is closed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,7 +193,7 @@ def planned_scans(
     v, omega = np.concatenate([m.twists for m in motions]).T
     times = np.concatenate([m.times for m in motions])
     sensor = robot.sensor
-    step = max(1, -(-sensor.n_rays // NEXT_RUN.forecast.max_rays))
+    step = max(1, -(-sensor.n_rays // MAX_RAYS))
     rays = np.arange(step // 2, sensor.n_rays, step)
     phi = poses[:, 2]
     return PlannedScans(
@@ -219,26 +230,26 @@ def _weights(
     same_wall : (n_scans, n_rays) Both models see the same wall, along a straight ray.
     variance_ratio : Variance of the readings under the true model over that under the alternative.
     """
-    settings, expected = NEXT_RUN.forecast, solver.expected
+    expected = solver.expected
     sigma = expected.sigma
     both = np.isfinite(truth.reading) & np.isfinite(expected.reading)
     off = np.where(both, np.where(both, truth.reading, 0.0) - np.where(both, expected.reading, 0.0), 0.0)
     p, q = _return_probability(truth, data), _return_probability(expected, data)
-    counts = expected.p_alternative <= settings.max_p_alternative
-    counts &= truth.p_alternative <= settings.max_p_alternative
-    near = same_wall | (np.abs(off) <= settings.linear_sigmas * sigma)
+    counts = expected.p_alternative <= MAX_P_ALTERNATIVE
+    counts &= truth.p_alternative <= MAX_P_ALTERNATIVE
+    near = same_wall | (np.abs(off) <= LINEAR_SIGMAS * sigma)
     small: Bools = solver.jacobian.valid & near & data.returned
     weight = np.where(small & counts, p / sigma**2, 0.0)
     of_variance = 0.5 * (variance_ratio - 1 - np.log(variance_ratio))
     of_difference = np.where(small, 0.0, 0.5 * (off / sigma) ** 2)
-    per_return = np.minimum(of_difference + of_variance, settings.max_nats_per_ray)
+    per_return = np.minimum(of_difference + of_variance, MAX_NATS_PER_RAY)
     of_returning = p * np.log(p / q) + (1 - p) * np.log((1 - p) / (1 - q))
     return weight, np.where(counts, of_returning + p * q * per_return, 0.0)
 
 
 def _return_probability(expected: ExpectedReadings, data: ScanData) -> Floats:
     """Return the probability of a return (n_scans, n_rays), limited away from 0 and 1."""
-    p_lost = NEXT_RUN.forecast.p_lost
+    p_lost = P_LOST
     aimed = np.isfinite(expected.reading)
     margin = data.sensor.range_max - np.where(aimed, expected.reading, 1e9)
     chance = expected.p_return * ndtr(margin / expected.sigma)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from sensorgraph.diagnosis.next_run.forecast import OpenQuestion
-from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
+from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS, OpenQuestion
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -13,6 +12,8 @@ from sensorgraph.effects import EFFECTS, Amendment
 
 LONGER_THAN_ANY_WALL = 1e3
 """[m]"""
+MAX_QUESTIONS = 3
+"""Maximum number of questions about effects that a run could not show."""
 
 
 def open_questions(
@@ -37,7 +38,7 @@ def open_questions(
     rivals : Second-best explanation of each effect, in the order of `result.rivals`.
     can_show : Whether a run in the room could show an effect; there are no questions about others.
     """
-    most = NEXT_RUN.forecast.max_questions
+    most = MAX_QUESTIONS
     accepted = tuple(model)
     close = _undecided(result, accepted, rivals)
     if close:
@@ -74,7 +75,7 @@ def _undecided(
     for named, rival in zip(result.rivals, rivals, strict=True):
         own = next((a for a in accepted if a.name == named.instead_of), None)
         margin = evidence.get(named.instead_of, 0.0) - named.evidence_nats
-        if own is not None and margin < NEXT_RUN.forecast.decided_nats:
+        if own is not None and margin < DECIDED_NATS:
             rest = tuple(a for a in accepted if a is not own)
             found.append((margin, between((*rest, own), (*rest, rival))))
     return [question for _, question in sorted(found, key=lambda pair: pair[0])]

@@ -13,8 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from sensorgraph.diagnosis.next_run.forecast import EvidenceForecast, EvidenceQuadratic
-from sensorgraph.diagnosis.next_run.settings import NEXT_RUN
 from sensorgraph.types import Floats
+
+N_ALLOCATION_STEPS = 24
+"""Number of steps of the Frank-Wolfe method."""
 
 
 def allocate_time(
@@ -40,7 +42,7 @@ def allocate_time(
     some = [quadratics[allowed] for quadratics in per_second]
     time[:] = duration / len(time)
     totals = [quadratics.mean() * duration for quadratics in some]
-    for step in range(NEXT_RUN.forecast.n_allocation_steps):
+    for step in range(N_ALLOCATION_STEPS):
         slope = np.zeros(len(time))
         for forecast, quadratics, total in zip(forecasts, some, totals, strict=True):
             x = forecast.refitted(total)

@@ -26,6 +26,16 @@ from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
+LONGEST_STEP = 3.0
+"""Maximum length of a step, as a multiple of these; longer ones (scans without a pose, a jump of the
+odometry) are omitted."""
+SHORT_INTERVAL = 0.25
+"""Share of the mean interval between scans; shorter intervals belong to a burst."""
+MOST_BURSTS = 0.05
+"""Share of short intervals, above which stamps record when a scan was written, not when it was taken."""
+BURST_SCANS = 20
+"""Number of scans before and after, over which such stamps are averaged: lasers scan at a constant rate."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LaserMotion:
@@ -103,7 +113,7 @@ def laser_motion(
         there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
         steps = compose(compose(back, steps), there)
         steps[:, 2] = wrap(steps[:, 2])
-    whole = np.diff(length[keys]) < CALIBRATION.longest_step
+    whole = np.diff(length[keys]) < LONGEST_STEP
     if scatter is not None:
         scatter = scatter[:, whole][:, :, whole]
     return LaserMotion(
@@ -139,8 +149,8 @@ def _even_stamps(stamps: Floats) -> Floats:
     rising = np.maximum.accumulate(stamps)
     intervals = np.diff(rising)
     mean = float(np.ptp(rising)) / max(len(intervals), 1)
-    if (intervals < CALIBRATION.short_interval * mean).mean() > CALIBRATION.most_bursts:
-        w = CALIBRATION.burst_scans
+    if (intervals < SHORT_INTERVAL * mean).mean() > MOST_BURSTS:
+        w = BURST_SCANS
         before, after = rising[0] - mean * np.arange(w, 0, -1), rising[-1] + mean * np.arange(1, w + 1)
         rising = np.convolve(
             np.concatenate([before, rising, after]), np.ones(2 * w + 1) / (2 * w + 1), "valid"

@@ -31,6 +31,12 @@ N_FACTORS = 6
 """a and b of x, y and phi."""
 STEP = 0.03
 """Step of the numerical derivatives by the logarithms of the factors."""
+SCAN_TURN = 0.002
+"""[rad] heading error of such a step."""
+USUAL_SLIP = 0.4
+"""Usual slip of wheels, relative to the noise that localization expects of them (`WheelSettings`)."""
+NOISE_SPREAD = 3.0
+"""Factor by which the noise of wheels and scans may be larger or smaller than usual, as a standard deviation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,10 +67,7 @@ class StepNoise:
         ends = 2 * np.eye(n)
         k = np.flatnonzero(motion.second[:-1] == motion.first[1:])
         ends[k, k + 1] = ends[k + 1, k] = -1.0
-        scans = (
-            np.square([CALIBRATION.scan_place, CALIBRATION.scan_place, CALIBRATION.scan_turn])[:, None, None]
-            * ends
-        )
+        scans = np.square([CALIBRATION.scan_place, CALIBRATION.scan_place, SCAN_TURN])[:, None, None] * ends
         if motion.scatter is not None:
             scans = scans + motion.scatter
         return cls(scans=scans, wheels=np.maximum(wheels, 1e-6))
@@ -97,8 +100,8 @@ class StepNoise:
             turned=turned,
             by_scans=np.maximum(values, 0.0),
             prior=prior,
-            usual=np.repeat(2 * np.log([1.0, CALIBRATION.usual_slip]), 3),
-            spread=2 * float(np.log(CALIBRATION.noise_spread)),
+            usual=np.repeat(2 * np.log([1.0, USUAL_SLIP]), 3),
+            spread=2 * float(np.log(NOISE_SPREAD)),
         )
 
 

@@ -1,6 +1,6 @@
 """Constant gain from commands to motion beyond the tolerances, which no effect of the library explains.
 
-The error of the odometry is a bounded tolerance of the model (`DRIVE.gain_sigma`, `DRIVE.turn_sigma`). A gain
+The error of the odometry is a bounded tolerance of the model (`GAIN_SIGMA`, `TURN_SIGMA`). A gain
 beyond these bounds belongs to the base, unless wheel errors that the odometry channel has named cause it.
 """
 

@@ -31,7 +31,7 @@ from sensorgraph.diagnosis.motion.regression import (
     Term,
     clusters_of,
 )
-from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, TestedStructure
 from sensorgraph.diagnosis.motion.whitening import (
     Whitener,
@@ -49,7 +49,33 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
-FIT = DRIVE.fit
+QUOTIENT = 0.004
+"""[s or m/s] step of the difference quotients."""
+TAU_RANGE = (1e-3, 3.0)
+"""[s] minimum and maximum time constant."""
+LAG_SIGMA = 0.004
+"""[s] tolerance of the time constant."""
+SECOND_LAG_SIGMA = 0.4
+"""Prior standard deviation of the share of this lag that is present."""
+MIN_TOP_SPEED = 0.05
+"""[m/s] minimum largest command, for a saturation to be tested."""
+MAX_STEPS = 6
+MAX_STEP = 0.1
+"""[s or m/s] maximum step of time constant, dead time and maximum speed."""
+MIN_V_MAX = 0.02
+"""[m/s] lower limit of the maximum speed."""
+CONVERGED = 1e-3
+"""[s or m/s] step below which the fit has converged."""
+CONTROL_STEP = 0.003
+"""[s] error of a dead time due to the step of the controller."""
+FILTER_ORDER = 4
+"""Order of the whitening filters."""
+GAIN_SIGMA = 0.03
+"""Tolerance of the gain from command to odometry."""
+TURN_SIGMA = 0.008
+"""Tolerance of the turn in proportion to speed, multiplied by the wheelbase."""
+MAX_SECOND_LAG = 0.03
+"""[s] second lag in series with the first, as in real motors; at most half of their sum."""
 
 
 class Column(IntEnum):
@@ -163,7 +189,7 @@ class DriveModel:
     def stated_noise(self) -> Whitener:
         """Return white noise as specified in robot.yaml."""
         sigmas = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)
-        first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma) for sigma in sigmas)
+        first, second = (WhiteningFilter.white(FILTER_ORDER, sigma) for sigma in sigmas)
         return Whitener.plain((first, second), self.rows.valid)
 
     def with_any_gain(self, has_any: bool = True) -> DriveModel:
@@ -180,14 +206,14 @@ class DriveModel:
     @property
     def terms(self) -> list[Term]:
         """Effects that this run could show."""
-        can_saturate = self.top_speed > DRIVE.min_top_speed
+        can_saturate = self.top_speed > MIN_TOP_SPEED
         return [term for term in self.library_terms if term.effect is not SPEED_SATURATION or can_saturate]
 
     def linearised(self, motors: MotorParameters) -> tuple[Floats, Floats]:
         """Return the simulated rows (2 n,) and the columns (2 n, n_own + structure)."""
         rates = self.simulation.rates
         base = rates(motors)
-        step = FIT.quotient
+        step = QUOTIENT
         second = _second_lag(motors)
         in_series = replace(motors, tau=motors.tau - second, second=second)
         v, omega = both_kinds(base, self.rows.n)
@@ -221,13 +247,13 @@ class DriveModel:
         base = self.robot.wheels.base
         sigma = np.array(
             [
-                DRIVE.lag_sigma,
+                LAG_SIGMA,
                 self.rows.clock_sigma,
-                DRIVE.gain_sigma,
-                DRIVE.gain_sigma,
-                DRIVE.turn_sigma / base,
+                GAIN_SIGMA,
+                GAIN_SIGMA,
+                TURN_SIGMA / base,
                 SHUT_SIGMA,
-                DRIVE.second_lag_sigma,
+                SECOND_LAG_SIGMA,
                 *(regressor.tolerance for _, regressor in self.layout.regressors),
             ]
         )
@@ -252,7 +278,7 @@ class DriveModel:
         if not has_limit:
             motors = replace(motors, v_max=float("inf"))
         best: DriveFit | None = None
-        for _ in range(FIT.max_steps):
+        for _ in range(MAX_STEPS):
             base, A = self.linearised(motors)
             regression = Regression.of(self.whitener(A), self.whitener(self.rows.y - base))
             solution = regression.solve(self.prior(terms, motors))
@@ -260,16 +286,16 @@ class DriveModel:
                 motors=motors, regression=regression, solution=solution, simulated=base, columns=A
             )
             steps = solution.theta[[Column.LAG, Column.DELAY, Column.V_MAX]]
-            is_small = bool((np.abs(steps) < FIT.converged).all())
+            is_small = bool((np.abs(steps) < CONVERGED).all())
             if best is None or is_small or here.log_posterior > best.log_posterior:
                 best = here
             if is_small:
                 break
-            lag, delay, v_max = np.clip(steps, -FIT.max_step, FIT.max_step)
+            lag, delay, v_max = np.clip(steps, -MAX_STEP, MAX_STEP)
             motors = MotorParameters(
-                tau=float(np.clip(motors.tau + lag, *FIT.tau_range)),
+                tau=float(np.clip(motors.tau + lag, *TAU_RANGE)),
                 delay=float(motors.delay + delay),
-                v_max=float(max(motors.v_max + v_max, FIT.min_v_max)),
+                v_max=float(max(motors.v_max + v_max, MIN_V_MAX)),
             )
         assert best is not None
         return best
@@ -278,7 +304,7 @@ class DriveModel:
         """Return the start value of the maximum speed: the highest measured one, at most the largest command."""
         v, _ = both_kinds(self.rows.y, self.rows.n)
         fastest = min(float(np.abs(v[self.rows.valid]).max()), self.top_speed)
-        return max(fastest, FIT.min_v_max)
+        return max(fastest, MIN_V_MAX)
 
     def size_of(self, term: Term, fit: DriveFit) -> float:
         """Return the parameter of an effect in a fit."""
@@ -297,7 +323,7 @@ class DriveModel:
         Any share of it, from none to all, is equally likely; the RMS error is the second lag over sqrt 3.
         """
         if term.effect is DEAD_TIME:
-            return DRIVE.control_step
+            return CONTROL_STEP
         if term.effect is not ACTUATOR_LAG:
             return 0.0
         second = abs(float(fit.solution.theta[Column.SECOND_LAG])) * _second_lag(fit.motors)
@@ -324,7 +350,7 @@ class DriveModel:
         stated = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)[kind]
         limit = EVIDENCE.clip_limit
         cut = clipped(residual, valid, limit, max(limit * stated, 1e-9))
-        found = fit_autoregression(cut, valid, DRIVE.filter_order)
+        found = fit_autoregression(cut, valid, FILTER_ORDER)
         return replace(found, sigma=max(found.sigma, 1e-6))
 
     def error_without(self, fit: DriveFit, missing: Floats) -> SimulationError:
@@ -342,7 +368,7 @@ class DriveModel:
 
 def _second_lag(motors: MotorParameters) -> float:
     """Return the second lag in series [s] that corresponds to a share of 1."""
-    return min(DRIVE.second_lag, motors.tau / 2)
+    return min(MAX_SECOND_LAG, motors.tau / 2)
 
 
 def _misread(rows: DriveRows, wheels: MotionDifference) -> Floats:

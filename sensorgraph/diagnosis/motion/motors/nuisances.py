@@ -9,19 +9,23 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
-from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
+BEAT_TIME = 5.0
+"""[s] over which the control loop of the base and the stamps of the commands keep their phase."""
+MAX_BEATS = 24
+"""Maximum number of pieces of the run with separate delays; in a longer run they are longer."""
+
 
 def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
     """Return the columns (2 n, m) of normal differences between commands and odometry."""
     rows = model.rows
     delays = delay_sigma(model.robot.tolerances.control_period, model.robot.tolerances.transport_jitter)
-    n = int(np.clip(np.ptp(rows.end) / DRIVE.beat_time, 1, DRIVE.max_beats))
+    n = int(np.clip(np.ptp(rows.end) / BEAT_TIME, 1, MAX_BEATS))
     piece = np.clip(n * (rows.end - rows.end[0]) / np.ptp(rows.end), 0, n - 1).astype(np.intp)
     by_delay = fit.columns[:, Column.DELAY] * delays
     return rows.masked(np.stack([by_delay * np.tile(piece == k, 2) for k in range(n)], axis=1))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
+from sensorgraph.diagnosis.motion.motors.model import CONTROL_STEP, FILTER_ORDER, Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.motors.nuisances import due_to_loop
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
 from sensorgraph.diagnosis.motion.motors.slow_leftover import SLOW
@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.motion.report import (
     exceeds_sizes,
     fit_quality,
 )
-from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import TestedStructure
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, FitQuality, Gap, Rival
@@ -29,6 +29,11 @@ from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
+
+MIN_SATURATION = 0.02
+"""[m/s] minimum difference between the largest command and the motors, for a saturation to be material."""
+FULL_SPEED_SHARE = 0.9
+"""Share of the robot's limit that commands must reach for a saturation to be observable."""
 
 
 def drive_result(model: DriveModel, selected: MotorSelection) -> ChannelResult:
@@ -74,7 +79,7 @@ def _accepted(model: DriveModel, selected: MotorSelection) -> list[AcceptedEffec
                 error=model.error_without(fit, model.rows.masked(fit.simulated - rest.simulated)),
                 is_material=_is_material(model, a),
                 due_to_loop=due_to_loop(model.robot, a),
-                fit_error=float(np.hypot(error, DRIVE.control_step * (term.effect is DEAD_TIME))),
+                fit_error=float(np.hypot(error, CONTROL_STEP * (term.effect is DEAD_TIME))),
                 late_clock=_late_clock(evidence) if is_unclear else None,
             )
         )
@@ -136,7 +141,7 @@ def _late_clock(evidence: float) -> Rival:
 def _is_material(model: DriveModel, a: Amendment) -> bool:
     """Return whether an effect exceeds its materiality."""
     if a.effect is SPEED_SATURATION:
-        return bool(model.top_speed - a["v_max"] > DRIVE.min_saturation)
+        return bool(model.top_speed - a["v_max"] > MIN_SATURATION)
     return exceeds_sizes(a)
 
 
@@ -154,7 +159,7 @@ def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
         left = left - structure.family.columns[:, 0]
         model = copy(model)  # white noise, since a filter would remove the smooth residual
         sigmas = [float(np.std(part[rows.valid])) for part in both_kinds(left, rows.n)]
-        first, second = (WhiteningFilter.white(DRIVE.filter_order, sigma + 1e-12) for sigma in sigmas)
+        first, second = (WhiteningFilter.white(FILTER_ORDER, sigma + 1e-12) for sigma in sigmas)
         model.whitener = Whitener.plain((first, second), rows.valid)
     floor = left * np.sqrt(n / max(n - k, 1))
     return Gap(
@@ -175,7 +180,7 @@ def _quality(model: DriveModel, residual: Floats) -> FitQuality:
 def _unseen_saturation(model: DriveModel, selected: MotorSelection) -> dict[str, str]:
     """Return the reason why a saturation would not show, if no command is near the limit of the robot."""
     limit = model.robot.limits.v
-    if model.top_speed >= DRIVE.full_speed_share * limit:
+    if model.top_speed >= FULL_SPEED_SHARE * limit:
         return {}
     if any(term.effect is SPEED_SATURATION for term in selected.terms):
         return {}

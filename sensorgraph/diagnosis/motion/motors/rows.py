@@ -9,13 +9,23 @@ import numpy as np
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION, ChannelSkippedError, WheelIncrements
 from sensorgraph.diagnosis.motion.regression import Rows
-from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.model import clock_sigma
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 TOP_QUANTILE = 0.999
 """Quantile of the commanded speeds that counts as the maximum, so that single odd commands do not matter."""
+SETTLING_TIME = 0.3
+"""[s] after the first command that is not compared, because earlier commands are unknown."""
+MIN_CLOCK_OFFSET = 0.004
+"""[s] minimum offset between the clocks of odometry and reference that is corrected."""
+MAX_CLOCK_ERROR = 0.01
+"""[s] upper limit of the standard error of that offset."""
+MIN_COMMANDS = 20
+"""Minimum number of commands; with fewer, the channel is skipped."""
+MIN_ROWS = 100
+"""Minimum number of rows; with fewer, the channel is skipped."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,10 +54,8 @@ def commands_of(run: Run) -> CommandSignal:
     n = len(run.commands)
     good = np.isfinite(run.commands).all(axis=1) if n else np.zeros(0, dtype=np.bool_)
     stamps, values = run.cmd_stamps[good], run.commands[good]
-    if len(stamps) < DRIVE.min_commands:
-        raise ChannelSkippedError(
-            f"this run has {len(stamps)} commands, expected at least {DRIVE.min_commands}"
-        )
+    if len(stamps) < MIN_COMMANDS:
+        raise ChannelSkippedError(f"this run has {len(stamps)} commands, expected at least {MIN_COMMANDS}")
     if np.ptp(values, axis=0).max() < MIN_MOTION:
         raise ChannelSkippedError("the commands of this run never change")
     return CommandSignal(stamps=stamps, values=values)
@@ -89,20 +97,20 @@ def drive_rows(
     """
     sigma = clock_sigma(robot)
     offset, error = clock if clock is not None else (0.0, 0.0)
-    is_late = abs(offset) > max(2 * sigma, 3 * error, DRIVE.min_clock_offset)
+    is_late = abs(offset) > max(2 * sigma, 3 * error, MIN_CLOCK_OFFSET)
     late = offset if is_late else 0.0
     start, end = wheels.start - late, wheels.end - late
     stamps = commands.stamps
     gap = np.interp(end, stamps[1:], np.diff(stamps))
     valid: Bools = (
-        (start > stamps[0] + DRIVE.settling_time)
+        (start > stamps[0] + SETTLING_TIME)
         & (end < stamps[-1])
         & (gap < EVIDENCE.max_gap)
         & (end - start < EVIDENCE.max_gap)
     )
-    if int(valid.sum()) < DRIVE.min_rows:
+    if int(valid.sum()) < MIN_ROWS:
         raise ChannelSkippedError(
-            f"commands and odometry overlap in {int(valid.sum())} samples, expected at least {DRIVE.min_rows}"
+            f"commands and odometry overlap in {int(valid.sum())} samples, expected at least {MIN_ROWS}"
         )
     return DriveRows(
         start=start,
@@ -110,7 +118,7 @@ def drive_rows(
         valid=valid,
         y=np.where(np.concatenate([valid, valid]), wheels.rates.T.ravel(), 0.0),
         late=late,
-        clock_sigma=float(np.hypot(sigma, min(error, DRIVE.max_clock_error) if is_late else 0.0)),
+        clock_sigma=float(np.hypot(sigma, min(error, MAX_CLOCK_ERROR) if is_late else 0.0)),
         has_reference=clock is not None,
         source=wheels.source,
     )

@@ -13,7 +13,7 @@ from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.motors.structure import OTHER_MOTORS, drive_families
 from sensorgraph.diagnosis.motion.regression import Term
-from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
     StructureFamily,
@@ -50,7 +50,7 @@ def select(model: DriveModel) -> MotorSelection:
     """Fit the noise with all effects free; then add and remove effects by evidence."""
     _fit_noise_with_all_effects(model)
     channel = MotorChannel(model, model.fit([]))
-    terms = engine.select(channel, threshold=EVIDENCE.threshold, most=DRIVE.max_effects)
+    terms = engine.select(channel, threshold=EVIDENCE.threshold, most=len(model.terms))
     return MotorSelection(terms=tuple(terms), fit=channel.fit)
 
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
-from sensorgraph.diagnosis.motion.settings import DRIVE
 from sensorgraph.types import Floats
 
-STEP = DRIVE.step
+STEP = 0.01
+"""[s] step of the simulated motors."""
 MAX_KNOWN = 6
 """Number of simulated drives that are cached. A fit needs each of them three times in a row; two hours take
 12 MB at a step of 10 ms."""

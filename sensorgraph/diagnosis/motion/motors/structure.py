@@ -9,7 +9,7 @@ import numpy as np
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
-from sensorgraph.diagnosis.motion.settings import DRIVE, EVIDENCE
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.types import Bools, Floats, Ints
@@ -34,6 +34,22 @@ N_SIZES = 128
 TRIMMED = 0.15
 """Share of the run at its start and its end, within which no change is tested: too few commands would show it
 (Andrews 1993, section 4)."""
+STOP_TIME = 0.25
+"""[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
+ANSWER_LAGS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""[s] delays after the response to a command, at which a second response may follow."""
+ANSWER_SIGMA = 0.3
+"""Prior standard deviation of the second response."""
+DELAY_SIGMA = 0.05
+"""[s] prior standard deviation of a lag that differs."""
+RAMPS = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
+"""Shares of the acceleration in robot.yaml that a base may really have."""
+SPEED_CUTS = (0.25, 0.5)
+"""Shares of the maximum speed, below which the gain may differ."""
+RATE_CUTS = (0.12, 0.2, 0.35, 0.6)
+"""Shares of the maximum turn rate, below which the gain may differ."""
+ASKED_SHARE = 0.15
+"""Share of the maximum speed, above which the base is commanded to move."""
 
 
 def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
@@ -96,8 +112,8 @@ def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
     """Return the family of a base whose speed depends on its turn rate, or vice versa: the wheels share power."""
     v, omega = (np.abs(x) for x in both_kinds(fit.simulated, model.rows.n))
     top_v, top_omega = max(float(v.max()), 1e-3), max(float(omega.max()), 1e-3)
-    turning = [omega > q * top_omega for q in DRIVE.structure.rate_cuts]
-    driving = [v > q * top_v for q in DRIVE.structure.speed_cuts]
+    turning = [omega > q * top_omega for q in RATE_CUTS]
+    driving = [v > q * top_v for q in SPEED_CUTS]
     statement = "a speed that depends on the turn rate, or a turn rate that depends on the speed"
     return _gains("coupling", statement, model, fit, turning, driving)
 
@@ -105,12 +121,12 @@ def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
 def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
     """Return the family of motors whose response is not a single lag: they ring, overshoot or creep."""
     rates = model.simulation.rates
-    late = [rates(fit.motors, later=lag) - fit.simulated for lag in DRIVE.structure.answer_lags]
+    late = [rates(fit.motors, later=lag) - fit.simulated for lag in ANSWER_LAGS]
     columns = [column for one in late for column in _way_and_turn(one)]
     return StructureFamily(
         kind=ANSWER,
         columns=model.rows.masked(np.stack(columns, axis=1)),
-        sigma=DRIVE.structure.answer_sigma,
+        sigma=ANSWER_SIGMA,
         statement="a response to commands that is not a single lag: the base rings, overshoots or creeps",
     )
 
@@ -121,7 +137,7 @@ def _lag_by_sense(model: DriveModel, fit: DriveFit) -> StructureFamily:
     return StructureFamily(
         kind=LAG_BY_SENSE,
         columns=(fit.columns[:, Column.LAG] * np.concatenate(faster))[:, None],
-        sigma=DRIVE.structure.delay_sigma,
+        sigma=DELAY_SIGMA,
         statement="a lag that differs between speeding up and slowing down",
     )
 
@@ -176,7 +192,7 @@ def _by_commands(
 
 def _long_stretches(model: DriveModel, some: Bools) -> Ints:
     """Return the first row and the end (k, 2) of each stretch of rows (n,) that lasts longer than commands wait."""
-    least = round(DRIVE.structure.stop_time / float(np.median(model.rows.end - model.rows.start)))
+    least = round(STOP_TIME / float(np.median(model.rows.end - model.rows.start)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], some.astype(np.intp), [0]]))).reshape(-1, 2)
     return np.asarray(edges[edges[:, 1] - edges[:, 0] >= least])
 
@@ -188,12 +204,12 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     command, earlier by the time of that fall, and ends at the largest shortfall. Each loss is a choice of two
     moments.
     """
-    rows, settings, motors = model.rows, DRIVE.structure, fit.motors
+    rows, motors = model.rows, fit.motors
     asked, moved, top = _asked_and_moved(model, fit)
     short = np.where(rows.valid, ((asked - moved) * np.sign(asked) / top).max(axis=0), 0.0)
     times = [
         (first, first + int(np.argmax(short[first:beyond])))
-        for first, beyond in _long_stretches(model, short > settings.asked_share)
+        for first, beyond in _long_stretches(model, short > ASKED_SHARE)
     ]
     out = []
     limits: tuple[AccelerationLimit, ...] = (AccelerationLimit.NOWHERE, AccelerationLimit.MOTORS)
@@ -207,7 +223,7 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
         slowest = float((top[:, 0] / model.simulation.slew).max()) if is_limited else motors.tau
         stamps, without = model.simulation.commands.stamps, model.simulation.commands.values.copy()
         for first, most in times:
-            begin = rows.start[first] - motors.delay - settings.asked_share * slowest
+            begin = rows.start[first] - motors.delay - ASKED_SHARE * slowest
             without[(stamps > begin) & (stamps < rows.start[most] - motors.delay)] = 0.0
         price = 2 * len(times) * float(np.log(rows.n))
         out.append(_by_commands("drops", statement, model, fit, without, price, limit))
@@ -234,7 +250,7 @@ def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> l
 
 def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     """Return one family for each slower ramp that a base may apply to commands."""
-    shares = DRIVE.structure.ramps
+    shares = RAMPS
     out = []
     for share in shares:
         columns = _way_and_turn(model.simulation.rates_with_slew(fit.motors, share) - fit.simulated)

@@ -11,17 +11,25 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, rows_at
-from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
+from sensorgraph.diagnosis.motion.wheels.signals import MIN_ROWS, MotionSignals
 from sensorgraph.types import Floats
 
-ROWS = ODOMETRY.rows
 NOMINAL_BASE = 0.4
 """[m] wheelbase for the alignment. It only scales a free column, so that the result does not depend on it."""
 MAX_STEPS = 3
 """Maximum number of Gauss-Newton steps."""
+MAX_CLOCK = 0.8
+"""[s] maximum clock offset of the search."""
+CLOCK_STEP = 0.025
+"""[s] step of the search."""
+CLOCK_HALF_WINDOW = 0.1
+"""[s] half the window over which rates are compared."""
+MIN_CLOCK_OVERLAP = 5.0
+"""[s] minimum overlap for the search; otherwise it starts at a clock offset of 0."""
+CLOCK_RESOLUTION = 2e-4
+"""[s] step of the clock offset, below which it has converged."""
 
 
 def aligned_rows(signals: MotionSignals) -> OdometryRows:
@@ -35,7 +43,7 @@ def aligned_rows(signals: MotionSignals) -> OdometryRows:
     rows = _enough_rows(signals, _coarse_offset(signals))
     for _ in range(MAX_STEPS):
         step = _offset_left(rows, signals)
-        if abs(step) < ROWS.clock_resolution:
+        if abs(step) < CLOCK_RESOLUTION:
             break
         rows = _enough_rows(signals, rows.clock + step)
     return rows
@@ -44,9 +52,9 @@ def aligned_rows(signals: MotionSignals) -> OdometryRows:
 def _enough_rows(signals: MotionSignals, clock: float) -> OdometryRows:
     rows = rows_at(signals, clock)
     n = 0 if rows is None else int(rows.valid.sum())
-    if rows is None or n < ROWS.min_rows:
+    if rows is None or n < MIN_ROWS:
         raise ChannelSkippedError(
-            f"poses and odometry overlap in {n} tenths of a second, expected at least {ROWS.min_rows}"
+            f"poses and odometry overlap in {n} tenths of a second, expected at least {MIN_ROWS}"
         )
     return rows
 
@@ -70,9 +78,9 @@ def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
 def _coarse_offset(signals: MotionSignals) -> float:
     """Return the clock offset [s] at which turn rate and speed of wheels and reference agree best."""
     stamps, poses, wheels = signals.stamps, signals.poses, signals.wheels
-    reach, step, half = ROWS.max_clock, ROWS.clock_step, ROWS.clock_half_window
+    reach, step, half = MAX_CLOCK, CLOCK_STEP, CLOCK_HALF_WINDOW
     first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
-    if last - first < ROWS.min_clock_overlap:
+    if last - first < MIN_CLOCK_OVERLAP:
         return 0.0
     grid = np.arange(first - reach, last + reach, step)
     before, after = (

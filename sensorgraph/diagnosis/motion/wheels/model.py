@@ -16,6 +16,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
+from sensorgraph.diagnosis.motion.reference_noise import FILTER_ORDER
 from sensorgraph.diagnosis.motion.regression import (
     SHUT_SIGMA,
     BoundedPrior,
@@ -24,7 +25,7 @@ from sensorgraph.diagnosis.motion.regression import (
     clusters_of,
     ridge_solution,
 )
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
 from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
@@ -35,6 +36,21 @@ from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_fil
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
+
+CLOCK_TOLERANCE_SHARE = 0.6
+"""Standard deviation of a clock offset that needs no effect, as a share of the tolerance of one stamp."""
+CLOCK_TOLERANCE_RANGE = (0.0015, 0.0035)
+"""[s] minimum and maximum of that standard deviation."""
+RIM = 0.02
+"""[m] width of the edge of a patch: about the length of an increment."""
+MARKER_SIGMA = 0.003
+"""[m] standard deviation of the distance between the axle and the base_link of the reference."""
+MAX_CLOCK_SHIFT = 0.02
+"""[s] maximum change of the clock offset at that time."""
+RADIUS_RANGE = (0.1, 2.5)
+"""[m] smallest and largest radius of a patch."""
+STRUCTURE_THRESHOLD = 20.0
+"""[nats] evidence that structure needs if the residual is white; proportionally more otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,14 +75,12 @@ class SlipPatch:
     @property
     def is_unbounded(self) -> bool:
         """Whether the disc may have the maximum radius: its rim is then unknown, and it may not be a disc."""
-        return bool(self.r + 2 * np.sqrt(self.covariance[3, 3]) >= ODOMETRY.patch.radius_range[1])
+        return bool(self.r + 2 * np.sqrt(self.covariance[3, 3]) >= RADIUS_RANGE[1])
 
 
 def clock_sigma(robot: Robot) -> float:
     """Return the standard deviation of a clock offset that needs no effect [s]."""
-    return float(
-        np.clip(EVIDENCE.clock_tolerance_share * robot.tolerances.stamp, *EVIDENCE.clock_tolerance_range)
-    )
+    return float(np.clip(CLOCK_TOLERANCE_SHARE * robot.tolerances.stamp, *CLOCK_TOLERANCE_RANGE))
 
 
 class WheelModel:
@@ -85,7 +99,7 @@ class WheelModel:
         """Tests for structure, for the ledger."""
         self.last_patch: tuple[SlipPatch, float] | None = None
         """The best further patch, and its evidence [nats], when the selection ended."""
-        raw, order = both_kinds(self.y, rows.n), ODOMETRY.filter_order
+        raw, order = both_kinds(self.y, rows.n), FILTER_ORDER
         first, second = (WhiteningFilter.white(order, float(np.std(y[rows.valid]) + 1e-12)) for y in raw)
         self.whitener = Whitener.plain((first, second), rows.valid)
         self.fit_noise()
@@ -113,7 +127,7 @@ class WheelModel:
         middle, phi = self.rows.increment_poses[:, :2], self.rows.increment_poses[:, 2]
         aside = track / 2 * np.stack([-np.sin(phi), np.cos(phi)], axis=1)
         left, right = self.motion.sides(apart)
-        lost = lost_inside(middle + aside, middle - aside, left, right, apart, discs, ODOMETRY.patch.rim)
+        lost = lost_inside(middle + aside, middle - aside, left, right, apart, discs, RIM)
         return -self.rows.of_wheels(*lost)
 
     # noise
@@ -146,9 +160,7 @@ class WheelModel:
             residual = self.y - scaled @ theta
             taken = 1 / np.sqrt(1 - 0.5 * len(theta) / max(2 * valid.sum(), 1))
             first, second = (
-                fit_filter(
-                    clipped(part, valid, settings.clip_limit, 1e-12) * taken, valid, ODOMETRY.filter_order
-                )
+                fit_filter(clipped(part, valid, settings.clip_limit, 1e-12) * taken, valid, FILTER_ORDER)
                 for part in both_kinds(residual, self.rows.n)
             )
             whitener = Whitener.robust((first, second), valid, residual, settings.huber_limit)
@@ -163,7 +175,7 @@ class WheelModel:
     def prior(self, terms: Sequence[Term]) -> BoundedPrior:
         """Return the prior of the columns with some effects free; other patches are fixed at 0."""
         sigma = [regressor.tolerance for _, regressor in self.layout.regressors]
-        sigma += [clock_sigma(self.robot), ODOMETRY.marker_sigma]
+        sigma += [clock_sigma(self.robot), MARKER_SIGMA]
         sigma += [SHUT_SIGMA] * len(self.patches)
         k = len(sigma)
         if self.structure is not None:
@@ -181,7 +193,7 @@ class WheelModel:
 
     def clock_left(self) -> float:
         """Return the remaining error of the assumed clock offset, with all effects free [s]."""
-        most = ODOMETRY.max_clock_shift
+        most = MAX_CLOCK_SHIFT
         theta = self.regression.solve(self.prior(self.layout.terms)).theta
         return float(np.clip(theta[self.layout.clock], -most, most))
 

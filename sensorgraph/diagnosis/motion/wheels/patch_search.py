@@ -18,12 +18,11 @@ import numpy as np
 from scipy.optimize import brentq
 
 from sensorgraph.diagnosis.motion.regression import Term
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
-from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.motion.wheels.model import RADIUS_RANGE, SlipPatch, WheelModel
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-PATCH = ODOMETRY.patch
 PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
 """[nats] complexity penalty of a patch."""
 MAX_VALUES = 1_000_000
@@ -32,6 +31,25 @@ TAILS = 3
 """Degrees of freedom of the proposals: heavy tails, so that no weight is unbounded."""
 LEAST_EFFECTIVE = 20
 """Number of effective samples from which a proposal is estimated."""
+MIN_POSITIONS = 20
+"""Minimum number of increments that move; with fewer, no patch is searched."""
+RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
+"""[m] radii that are tried."""
+MIN_INFORMATION = 400.0
+"""[1] minimum inverse variance of the lost share, for 5 % standard error; with less, the robot hardly
+crossed the disc."""
+MIN_MOVING = 1e-3
+"""[m] minimum length of an increment that moves."""
+CELL = 0.15
+"""[m] distance between the centres that are tried."""
+MAX_CENTRES = 250
+"""Maximum number of centres; of more, every second or third is tried."""
+N_ROUNDS = 7
+"""Number of rounds of the importance sampler."""
+N_SAMPLES = 100
+"""Number of discs of a round."""
+MAX_SLIP = 0.95
+"""Maximum share of the motion that a patch loses."""
 
 
 def best_patch(
@@ -42,15 +60,15 @@ def best_patch(
     Either each wheel slips at its own place, or the body slips as a whole: the more likely of the two. The
     result is None if the robot hardly moved.
     """
-    is_moving = np.abs(model.wheels.distance) > PATCH.min_moving
+    is_moving = np.abs(model.wheels.distance) > MIN_MOVING
     positions = model.rows.increment_poses[is_moving, :2]
-    if len(positions) < PATCH.min_positions:
+    if len(positions) < MIN_POSITIONS:
         return None
-    cells = np.unique(np.round(positions / PATCH.cell).astype(np.intp), axis=0)
-    if len(cells) > PATCH.max_centres:
-        cells = cells[:: len(cells) // PATCH.max_centres + 1]
-    centres = cells * PATCH.cell
-    discs = np.concatenate([np.column_stack([centres, np.full(len(centres), r)]) for r in PATCH.radii])
+    cells = np.unique(np.round(positions / CELL).astype(np.intp), axis=0)
+    if len(cells) > MAX_CENTRES:
+        cells = cells[:: len(cells) // MAX_CENTRES + 1]
+    centres = cells * CELL
+    discs = np.concatenate([np.column_stack([centres, np.full(len(centres), r)]) for r in RADII])
     found = [_best_disc(model, discs, track, terms, rng) for track in (model.robot.wheels.base, 0.0)]
     return max(found, key=lambda one: one[1])
 
@@ -90,9 +108,9 @@ def gains_of_discs(
         total[some] = np.einsum("ij,ij->j", Z, Z)
         information[some] = total[some] - np.einsum("ij,ij->j", cross, C @ cross)
     information = np.maximum(information, 1e-9 + 1e-6 * total)
-    lost = np.clip(score / information, 0.0, PATCH.max_slip)
+    lost = np.clip(score / information, 0.0, MAX_SLIP)
     gains = lost * score - 0.5 * lost**2 * information
-    gains[information < PATCH.min_information] = 0.0
+    gains[information < MIN_INFORMATION] = 0.0
     return gains, lost
 
 
@@ -116,13 +134,13 @@ def _sampled(
     model: WheelModel, disc: Floats, track: float, terms: Sequence[Term], rng: np.random.Generator
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return discs (n, 3), the given one first, with their gains [nats], lost shares and weights (n,)."""
-    low, high = np.log(PATCH.radius_range)
+    low, high = np.log(RADIUS_RANGE)
     middle = np.array([disc[0], disc[1], np.log(disc[2])])
-    covariance = np.diag([(0.5 * disc[2] + PATCH.cell) ** 2] * 2 + [0.5])
+    covariance = np.diag([(0.5 * disc[2] + CELL) ** 2] * 2 + [0.5])
     x = middle[None]
     gains, lost = gains_of_discs(model, disc[None], track, terms)
     proposals = []
-    for _ in range(PATCH.rounds):
+    for _ in range(N_ROUNDS):
         proposals.append((middle, covariance))
         drawn = _draw(rng, middle, covariance)
         drawn = drawn[(drawn[:, 2] > low) & (drawn[:, 2] < high)]
@@ -140,8 +158,8 @@ def _sampled(
 
 def _draw(rng: np.random.Generator, middle: Floats, scale: Floats) -> Floats:
     """Draw samples (n_samples, 3) of Student's t with a middle (3,) and a scale matrix (3, 3)."""
-    normal = rng.multivariate_normal(np.zeros(3), scale, size=PATCH.n_samples)
-    return middle + normal / np.sqrt(rng.chisquare(TAILS, size=(PATCH.n_samples, 1)) / TAILS)
+    normal = rng.multivariate_normal(np.zeros(3), scale, size=N_SAMPLES)
+    return middle + normal / np.sqrt(rng.chisquare(TAILS, size=(N_SAMPLES, 1)) / TAILS)
 
 
 def _log_density(x: Floats, middle: Floats, scale: Floats) -> Floats:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import gammaln
 
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.robust import robust_sigma
@@ -21,6 +20,10 @@ HIGHEST_WAVES = 7
 """Exclusive upper limit of the half waves of both axes together."""
 HIGHEST_POWER = 4
 """Exclusive upper limit of the powers of a distorted position, along each axis and of both together."""
+N_REFERENCE_JUMPS = (1, 2, 4, 8, 16)
+"""Numbers of jumps of the reference that are tried, each within a tenth of a second."""
+YAW_SIGMA = 0.02
+"""[rad] prior standard deviation of each wave of a distorted heading."""
 
 
 def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureFamily]:
@@ -62,7 +65,7 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
         StructureFamily(
             kind=REFERENCE_YAW,
             columns=np.stack(yaw, axis=1),
-            sigma=ODOMETRY.structure.yaw_sigma,
+            sigma=YAW_SIGMA,
             statement="a yaw error of the reference that depends on the place",
             is_of_reference=True,
         ),
@@ -90,7 +93,7 @@ def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamil
     size = sum((part / spread) ** 2 for part, spread in zip(parts, spreads, strict=True))
     largest = np.argsort(-np.where(rows.valid, size, 0.0))
     out = []
-    for k in ODOMETRY.structure.n_reference_jumps:
+    for k in N_REFERENCE_JUMPS:
         columns = np.zeros((2 * rows.n, 2 * k))
         columns[largest[:k], np.arange(k)] = columns[rows.n + largest[:k], k + np.arange(k)] = 1.0
         out.append(

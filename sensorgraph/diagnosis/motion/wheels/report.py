@@ -15,7 +15,6 @@ from sensorgraph.diagnosis.motion.report import (
     exceeds_sizes,
     fit_quality,
 )
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel, price
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, gains_of_discs
@@ -28,6 +27,14 @@ from sensorgraph.types import Floats
 
 RMSE_WINDOW = 1.0
 """[s] averaging time of the speeds in the gap."""
+EVEN_PART = 0.5
+"""Share of the contribution of a whole-run effect, above which structure takes its name."""
+STAMP_AVERAGING = 8.0
+"""Ratio of the tolerance of one stamp to the error of the mean over a run."""
+MIN_DISTANCE = 1.0
+"""[m] minimum path for a slip to be observable."""
+MIN_PLACE_ERROR = 0.02
+"""[m] minimum standard error of a patch's place."""
 
 
 def odometry_result(
@@ -45,7 +52,7 @@ def odometry_result(
     """
     fit = model.regression.solve(model.prior(terms))
     slips = any(term.effect is WHEEL_SLIP for term in terms)
-    hides_slip = not slips and float(np.abs(model.wheels.distance).sum()) < ODOMETRY.min_distance
+    hides_slip = not slips and float(np.abs(model.wheels.distance).sum()) < MIN_DISTANCE
     return channel_result(
         "odometry",
         accepted=_accepted(model, terms, fit, rng),
@@ -126,10 +133,10 @@ def _motion_difference(model: WheelModel, fit: RegressionFit) -> MotionDifferenc
 
 def _slip(model: WheelModel, i: int, share: float, error: float) -> Amendment:
     """Return a patch with its place; the standard errors combine those of the fit and of the search."""
-    patch, settings = model.patches[i], ODOMETRY.patch
+    patch = model.patches[i]
     width = np.sqrt(np.diag(patch.covariance))
     stderr = {"s": float(np.hypot(error, width[0]))} | {
-        key: float(np.hypot(w, settings.min_place_error)) for key, w in zip("xyr", width[1:], strict=True)
+        key: float(np.hypot(w, MIN_PLACE_ERROR)) for key, w in zip("xyr", width[1:], strict=True)
     }
     slip = WHEEL_SLIP(s=float(np.clip(share, 0, 1)), x=patch.x, y=patch.y, r=patch.r)
     return replace(slip, stderr=stderr).at(xy=(patch.x, patch.y))
@@ -148,7 +155,7 @@ def _everywhere(model: WheelModel, effect: Effect, theta: float, error: float, g
         value, stderr = regressor.size(theta, gain), regressor.stderr(error, gain)
     else:  # the clock: no more accurate than the mean of the run's stamps
         value = float(model.rows.clock + theta)
-        stderr = float(np.hypot(error, model.robot.tolerances.stamp / ODOMETRY.stamp_averaging))
+        stderr = float(np.hypot(error, model.robot.tolerances.stamp / STAMP_AVERAGING))
     return replace(effect(**{key: value}), stderr={key: stderr})
 
 
@@ -161,7 +168,7 @@ def _is_absorbed(model: WheelModel, term: Term, fit: RegressionFit) -> bool:
     A, first = model.regression.A, model.layout.n + len(model.patches)
     structure = float(np.linalg.norm(A[:, first:] @ fit.theta[first:]))
     own = float(np.linalg.norm(A[:, term.column] * fit.theta[term.column]))
-    return term.effect is not WHEEL_SLIP and structure > ODOMETRY.structure.even_part * own
+    return term.effect is not WHEEL_SLIP and structure > EVEN_PART * own
 
 
 def _alternatives(

@@ -13,17 +13,20 @@ from scipy import sparse
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.regression import Rows
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals
 from sensorgraph.types import Bools, Floats, Ints
 
-ROWS = ODOMETRY.rows
 CLOCK_STEP = 0.01
 """[s] step to either side, for the difference quotient with respect to the clock offset."""
 MIN_POSES = 10
 """Minimum number of poses during the odometry."""
 FEW_INCREMENTS = 0.995
 """Quantile of the number of increments per row that rows have space for; rows with more are not valid."""
+HEADING_WINDOW = 1.0
+"""[s] averaging time of the offset between the headings of reference and wheels."""
+AVERAGING_TIME = 0.1
+"""[s] over which reference poses are averaged."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +82,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     if len(stamps) < MIN_POSES:
         return None
     period = float(np.median(np.diff(stamps)))
-    m = max(1, round(ROWS.averaging_time / period))
+    m = max(1, round(AVERAGING_TIME / period))
     n = len(stamps) // m
     t = stamps[: n * m].reshape(n, m)
     averages = poses[: n * m].reshape(n, m, 3).mean(axis=1)
@@ -88,7 +91,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     # headings follow the wheels, corrected by the reference averaged over a second
     total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
     offset = averages[:, 2] - np.interp(t, ends, total).mean(axis=1)
-    offset = _moving_average(offset, ROWS.heading_window / (m * period))
+    offset = _moving_average(offset, HEADING_WINDOW / (m * period))
     heading = np.interp(middle, ends, total) + np.interp(middle, centre, offset)
     phi = np.interp(border, ends, total) + np.interp(border, centre, offset)
     step = np.diff(averages, axis=0)

@@ -16,18 +16,19 @@ from sensorgraph.diagnosis.motion.consequence import (
 )
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
 from sensorgraph.diagnosis.motion.regression import Term
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
     StructureFamily,
     StructureTest,
     TestedStructure,
 )
-from sensorgraph.diagnosis.motion.wheels.model import SlipPatch, WheelModel
+from sensorgraph.diagnosis.motion.wheels.model import STRUCTURE_THRESHOLD, SlipPatch, WheelModel
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, refine_patch
 from sensorgraph.diagnosis.motion.wheels.reference_structure import reference_jumps
 from sensorgraph.diagnosis.motion.wheels.structure import (
     JUMP,
+    N_NEARER_JUMPS,
     jump_spacing,
     nearer_jumps,
     odometry_families,
@@ -37,6 +38,10 @@ from sensorgraph.types import Floats
 
 N_REFINED = 2
 """Number of refinements of the moment of a change."""
+PATCH_SHARE = 0.1
+"""Share of the evidence of a patch, below which structure only reflects its rim: no patch is a sharp disc."""
+MAX_PATCHES = 3
+"""Maximum number of patches in one run."""
 
 
 def select(model: WheelModel, rng: np.random.Generator, *, is_reference_straight: bool = False) -> list[Term]:
@@ -45,7 +50,8 @@ def select(model: WheelModel, rng: np.random.Generator, *, is_reference_straight
     Structure that no effect explains competes with the effects, and replaces them if it explains more. If the
     reference is known to be straight, a distorted reference is not tried.
     """
-    terms = engine.select(WheelChannel(model, rng), threshold=EVIDENCE.threshold, most=ODOMETRY.max_effects)
+    most = len(model.layout.terms) + MAX_PATCHES
+    terms = engine.select(WheelChannel(model, rng), threshold=EVIDENCE.threshold, most=most)
     _join_patches(model, terms, rng)
     _admit_structure(model, terms, rng, is_reference_straight=is_reference_straight)
     for i in range(len(model.patches)):
@@ -67,7 +73,7 @@ class WheelChannel:
         gains = {term: wheels.evidence(model, term) for term in wheels.layout.terms if term not in model}
         best = max(gains, key=lambda term: gains[term], default=None)
         top = -np.inf if best is None else gains[best]
-        can_slip = len(wheels.patches) < ODOMETRY.patch.max_patches
+        can_slip = len(wheels.patches) < MAX_PATCHES
         found = wheels.last_patch = best_patch(wheels, model, self.rng) if can_slip else None
         if found is not None and found[1] >= max(top, EVIDENCE.threshold):
             wheels.patches.append(found[0])
@@ -160,7 +166,7 @@ def _admit_structure(
     if model.patches:
         candidate = _in_stead_of_patches(model, test, own, candidate, [*families, *jumps])
     beside = model.A if candidate.replaces_patches else own
-    needed = ODOMETRY.structure.threshold * dispersion
+    needed = STRUCTURE_THRESHOLD * dispersion
     if not candidate.replaces_patches:
         needed = max(needed, _left_by_rims(model, terms))
     if candidate.evidence < needed:
@@ -206,7 +212,7 @@ def _best_structure(
         )
         if more > most:
             jump, most = nearer, more
-        reach /= ODOMETRY.structure.n_nearer_jumps
+        reach /= N_NEARER_JUMPS
     return (jump, most) if most > gain else (family, gain)
 
 
@@ -242,4 +248,4 @@ def _left_by_rims(model: WheelModel, terms: Sequence[Term]) -> float:
     wheels = [term for term in terms if term.effect is not WHEEL_SLIP]
     if len(terms) - len(wheels) != 1:
         return 0.0
-    return ODOMETRY.structure.patch_share * (model.log_posterior(terms) - model.log_posterior(wheels))
+    return PATCH_SHARE * (model.log_posterior(terms) - model.log_posterior(wheels))

@@ -15,7 +15,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error, sure_share
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, NoiseLimits, noise_limits
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import (
     AcceptedStructure,
     ScreenedFamily,
@@ -23,9 +23,12 @@ from sensorgraph.diagnosis.motion.structure_test import (
     StructureTest,
     TestedStructure,
 )
-from sensorgraph.diagnosis.motion.wheels.model import WheelModel, clock_sigma
+from sensorgraph.diagnosis.motion.wheels.model import STRUCTURE_THRESHOLD, WheelModel, clock_sigma
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
 from sensorgraph.types import Floats
+
+MAX_ASKEW = 0.035
+"""[rad] maximum misalignment of the heading of a reference that counts as setup: 2°."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,13 +84,13 @@ def _askew(
     family = StructureFamily(kind="askew", columns=distance[:, None], statement="")
     gain, missing = test.gain(own, family), test.explained(own, [family])
     angle = float(distance @ missing) / max(float(distance @ distance), 1e-12)
-    needed = ODOMETRY.structure.threshold * test.dispersion(EVIDENCE.cluster, limits[0].period)
+    needed = STRUCTURE_THRESHOLD * test.dispersion(EVIDENCE.cluster, limits[0].period)
     side = "left" if angle > 0 else "right"
     words = f"a direction of travel {np.degrees(abs(angle)):.1f}° to the {side} of the body's heading"
     family = replace(family, statement=f"{words}: the axle or the markers of the reference are misaligned")
     size = _size(model, aside, missing)
     found = AcceptedStructure(family=family, evidence=gain, threshold=needed, size=size)
-    is_large = sure_share(gain) * abs(angle) >= ODOMETRY.structure.max_askew
+    is_large = sure_share(gain) * abs(angle) >= MAX_ASKEW
     best = found if gain >= needed else None
     model.tested.append(
         TestedStructure(
@@ -112,7 +115,7 @@ def _sliding(
     own = rows.masked(np.stack([aside.distance, aside.turn], axis=1))
     families = sideways_families(rows, aside)
     family, gain = test.best(own, families)
-    needed = ODOMETRY.structure.threshold * test.dispersion(EVIDENCE.cluster, limits[0].period)
+    needed = STRUCTURE_THRESHOLD * test.dispersion(EVIDENCE.cluster, limits[0].period)
     if gain < needed:
         model.tested.append(TestedStructure(families=test.tested, threshold=needed))
         return None

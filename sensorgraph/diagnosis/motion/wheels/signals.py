@@ -16,10 +16,17 @@ from sensorgraph.diagnosis.motion.increments import (
     require_reference,
     wheel_increments,
 )
-from sensorgraph.diagnosis.motion.settings import ODOMETRY
 from sensorgraph.types import Bools, Floats
 
-ROWS = ODOMETRY.rows
+MIN_TRAVEL = 0.02
+"""[m] minimum extent of the reference along one axis, unless it turns by `min_rotation`; otherwise it
+does not move."""
+MIN_ROTATION = 0.05
+"""[rad] minimum rotation of the reference."""
+MIN_ROWS = 60
+"""Minimum number of rows, and of reference poses; with fewer, the channel is skipped."""
+MIN_OVERLAP = 0.9
+"""Share of the run during which poses and odometry overlap, below which a note reports it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,12 +55,10 @@ def motion_signals(run: Run) -> MotionSignals:
     good: Bools = np.asarray(np.isfinite(run.poses).all(axis=1))
     good[1:] &= np.diff(run.pose_stamps) > SAME_STAMP
     stamps, poses = run.pose_stamps[good], run.poses[good].copy()
-    if len(stamps) < ROWS.min_rows:
-        raise ChannelSkippedError(
-            f"this run has {len(stamps)} reference poses, expected at least {ROWS.min_rows}"
-        )
+    if len(stamps) < MIN_ROWS:
+        raise ChannelSkippedError(f"this run has {len(stamps)} reference poses, expected at least {MIN_ROWS}")
     travel, rotation = np.ptp(poses[:, :2], axis=0).max(), np.ptp(wrap(poses[:, 2] - poses[0, 2]))
-    if travel < ROWS.min_travel and rotation < ROWS.min_rotation:
+    if travel < MIN_TRAVEL and rotation < MIN_ROTATION:
         raise ChannelSkippedError("the reference poses of this run do not move")
     poses[:, 2] = np.unwrap(poses[:, 2])
     if run.pose_frame == "laser":
@@ -64,7 +69,7 @@ def motion_signals(run: Run) -> MotionSignals:
     notes: dict[str, object] = {"odometry_from": wheels.source}
     first, last = max(stamps[0], wheels.start[0]), min(stamps[-1], wheels.end[-1])
     whole = max(stamps[-1], wheels.end[-1]) - min(stamps[0], wheels.start[0])
-    if last - first < ROWS.min_overlap * whole:
+    if last - first < MIN_OVERLAP * whole:
         notes["overlap"] = (
             f"poses and odometry overlap from {first:.1f} to {last:.1f} s, {last - first:.1f} of {whole:.1f} s; the rest is not used"
         )

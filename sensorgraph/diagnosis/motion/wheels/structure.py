@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.settings import EVIDENCE, ODOMETRY
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.wheels.reference_structure import distorted_reference
-from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.diagnosis.motion.wheels.rows import AVERAGING_TIME, OdometryRows
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Wheels
 
@@ -30,6 +30,34 @@ SMOOTHED = 5
 """Minimum number of increments over which a speed is averaged before its acceleration is computed."""
 RAMP = 0.25
 """[s] minimum duration of that average: motors take that long, and ticks are not an acceleration."""
+N_WHILE = 9
+"""Number of moments between which a temporary change may lie."""
+N_CLOCK_PIECES = (5, 20)
+"""Numbers of pieces of the run with separate clock offsets; tried one after the other."""
+TIGHT_TURNS = (0.3, 1.0, 3.0)
+"""Distance from the middle of the axle to the centre of rotation, in half wheelbases, below which a turn
+is tight."""
+ACCELERATION_QUANTILE = 0.85
+"""Quantile of the accelerations of a run, above which the robot accelerates."""
+SPINNING_QUANTILES = (0.5, 0.7, 0.8, 0.9, 0.95)
+"""Quantiles of the accelerations of the wheels, above which they may spin."""
+MIN_CELL_TRAVEL = 0.3
+"""[m] minimum path in a cell."""
+MIN_EXTENT = 1.5
+"""[m] minimum extent of a run for a reference that is distorted over the place; a camera is not distorted
+within less."""
+N_NEARER_JUMPS = 5
+"""Number of moments on each side of the best one that are tried next, and again around the best of these."""
+SPEED_CUTS = (0.12, 0.22, 0.32)
+"""[m/s] limits between speeds, for a robot at 0.4 m/s; proportional for a faster one."""
+RATE_CUTS = (0.25, 0.5, 0.75)
+"""[rad/s] limits between turn rates, for a robot at 1 rad/s; proportional for a faster one."""
+CELL = 1.0
+"""[m] cell size of the raster of places."""
+MAX_CELLS = 24
+"""Maximum number of cells: those with the longest path."""
+RADIUS_FACTORS = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
+"""Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
 
 
 def odometry_families(
@@ -74,9 +102,9 @@ def odometry_families(
     ]
     families = [_scales(rows, wheels, base, *one) for one in scales if one[2]]
     families += [_at_rest(rows, wheels), *_jumps(rows, wheels, base), *_for_a_while(rows, wheels, base)]
-    families += [_clock_pieces(rows, n) for n in ODOMETRY.structure.n_clock_pieces]
+    families += [_clock_pieces(rows, n) for n in N_CLOCK_PIECES]
     families += [_spinning(rows, wheels, base), *_turns_of_a_wheel(rows, wheels, size)]
-    is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= ODOMETRY.structure.min_extent
+    is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= MIN_EXTENT
     if is_wide and not is_reference_straight:
         families += distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
@@ -139,7 +167,7 @@ def nearer_jumps(
     rows: OdometryRows, wheels: WheelIncrements, base: float, moment: float, reach: float
 ) -> list[StructureFamily]:
     """Return families for moments within `reach` [s] of a moment, including it."""
-    n = 2 * ODOMETRY.structure.n_nearer_jumps + 1
+    n = 2 * N_NEARER_JUMPS + 1
     moments = moment + reach * np.linspace(-1, 1, n)
     inside = (moments > wheels.start[0]) & (moments < wheels.middle[-1])
     return _changes_at(rows, wheels, base, moments[inside], EVIDENCE.n_jumps * n)
@@ -147,7 +175,7 @@ def nearer_jumps(
 
 def _for_a_while(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
     """Return one family for each pair of moments between which scales may differ: a load, a wet floor."""
-    n = ODOMETRY.structure.n_while
+    n = N_WHILE
     moments = wheels.start[0] + np.arange(1, n + 1) / (n + 1) * np.ptp(wheels.middle)
     pairs = list(combinations(moments.tolist(), 2))
     out = []
@@ -189,7 +217,7 @@ def _changes_at(
 
 def _rates(wheels: WheelIncrements) -> Floats:
     """Return rates (n, 2) [m/s, rad/s] over the duration of a row, since a single tick in 10 ms is not a speed."""
-    k = max(round(ODOMETRY.rows.averaging_time / float(np.median(wheels.end - wheels.start))), 1)
+    k = max(round(AVERAGING_TIME / float(np.median(wheels.end - wheels.start))), 1)
     window = np.ones(k)
     time = np.convolve(wheels.end - wheels.start, window, mode="same")
     moved = [np.convolve(part, window, mode="same") for part in (wheels.distance, wheels.turn)]
@@ -199,8 +227,8 @@ def _rates(wheels: WheelIncrements) -> Floats:
 def _speeds(rates: Floats) -> list[Scale]:
     v, omega = np.abs(rates).T
     fastest = float(np.quantile(v, 0.98)) / EVIDENCE.reference_speed
-    cuts = np.array(ODOMETRY.structure.speed_cuts) * max(1.0, fastest)
-    rate_cuts = np.array(ODOMETRY.structure.rate_cuts) * max(1.0, float(np.quantile(omega, 0.98)))
+    cuts = np.array(SPEED_CUTS) * max(1.0, fastest)
+    rate_cuts = np.array(RATE_CUTS) * max(1.0, float(np.quantile(omega, 0.98)))
     parts: tuple[Part, ...] = ("distance", "turn")  # a fast car turns less than its wheels are steered
     out: list[Scale] = [(part, v > c) for part in parts for c in cuts]
     return out + [("turn", omega > c) for c in rate_cuts]
@@ -209,23 +237,23 @@ def _speeds(rates: Floats) -> list[Scale]:
 def _tight_turns(rates: Floats, base: float) -> list[Scale]:
     """Return turns about a centre within some half wheelbases: in place, about a wheel, in curves."""
     v, at_rim = np.abs(rates[:, 0]), base / 2 * np.abs(rates[:, 1])
-    return [("turn", v < c * at_rim) for c in ODOMETRY.structure.tight_turns]
+    return [("turn", v < c * at_rim) for c in TIGHT_TURNS]
 
 
 def _accelerations(wheels: WheelIncrements, rates: Floats) -> list[Scale]:
     smooth = np.stack([_smoothed(x, wheels) for x in rates.T], axis=1)
     acceleration = np.abs(np.gradient(smooth, wheels.middle, axis=0))
-    a, alpha = np.quantile(acceleration, ODOMETRY.structure.acceleration_quantile, axis=0)
+    a, alpha = np.quantile(acceleration, ACCELERATION_QUANTILE, axis=0)
     return [("distance", acceleration[:, 0] > a), ("turn", acceleration[:, 1] > alpha)]
 
 
 def _cells(rows: OdometryRows, wheels: WheelIncrements) -> list[Scale]:
     """Return the cells of the raster with the longest path of the robot."""
-    cells = np.floor(rows.increment_poses[:, :2] / ODOMETRY.structure.cell).astype(np.intp)
+    cells = np.floor(rows.increment_poses[:, :2] / CELL).astype(np.intp)
     _, cell = np.unique(cells, axis=0, return_inverse=True)
     travel = np.bincount(cell.ravel(), weights=np.abs(wheels.distance))
-    large = np.argsort(-travel)[: ODOMETRY.structure.max_cells]
-    large = large[travel[large] > ODOMETRY.structure.min_cell_travel]
+    large = np.argsort(-travel)[:MAX_CELLS]
+    large = large[travel[large] > MIN_CELL_TRAVEL]
     return [("distance and turn", cell.ravel() == k) for k in large]
 
 
@@ -249,7 +277,7 @@ def _turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
     """
     left, right = wheels.sides(size.base)
     nothing, out = np.zeros(len(left)), list[StructureFamily]()
-    for factor in ODOMETRY.structure.radius_factors:
+    for factor in RADIUS_FACTORS:
         radius = factor * size.radius
         columns = [rows.of_sides(lost, nothing, size.base) for lost in _by_angle(left, radius)]
         columns += [rows.of_sides(nothing, lost, size.base) for lost in _by_angle(right, radius)]
@@ -258,7 +286,7 @@ def _turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
                 kind="turns of a wheel",
                 columns=np.stack(columns, axis=1),
                 statement="an error that repeats with every turn of a wheel: it is out of round, or its encoder is misaligned",
-                choice_price=float(np.log(len(ODOMETRY.structure.radius_factors))),
+                choice_price=float(np.log(len(RADIUS_FACTORS))),
             )
         )
     return out
@@ -281,7 +309,7 @@ def _spinning(rows: OdometryRows, wheels: WheelIncrements, base: float) -> Struc
     speeds = [_smoothed(way / period, wheels) for way in ways]
     gained = [np.gradient(speed, wheels.middle) * np.sign(speed) for speed in speeds]
     columns = []
-    for level in np.quantile(np.concatenate(gained), ODOMETRY.structure.spinning_quantiles):
+    for level in np.quantile(np.concatenate(gained), SPINNING_QUANTILES):
         left, right = (way * (gain > max(level, 0.0)) for way, gain in zip(ways, gained, strict=True))
         columns.append(rows.of_sides(left, right, base))
     return StructureFamily(
