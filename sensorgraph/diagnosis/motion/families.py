@@ -39,6 +39,8 @@ DRIVE_FAMILIES = {
     "heading": ("speed_by_heading", "a speed that depends on the heading, as on a sloped floor"),
     "drops": ("speed_losses", "temporary losses of speed despite commands to continue"),
     "jump": ("gain_jump", "a gain of the motors that changes once"),
+    "jump of the lag": ("lag_jump", "a lag of the motors that changes once"),
+    "jump of the delay": ("delay_jump", "a delay of the motors that changes once"),
     "deadband": ("dead_zone", "a dead zone of small commands"),
     "ramp": ("slow_ramp", "a slower acceleration than specified"),
     "slow": ("slow_speed_error", "a speed error that lasts for seconds"),

@@ -39,6 +39,8 @@ class StructureFamily:
     """Whether it describes an error of the reference poses, not of the robot."""
     choice_price: float = 0.0
     """[nats] penalty for the choice among several families of its kind."""
+    least_change: float = 0.0
+    """Difference between its coefficients that matters; 0: the error of a simulation without it decides."""
     moment: float = float("nan")
     """[s] time of the change, for families of a single change."""
 

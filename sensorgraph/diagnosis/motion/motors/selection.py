@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine import selection as engine
+from sensorgraph.diagnosis.motion.consequence import sure_share
 from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
@@ -156,21 +157,38 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
         return selected
     size = model.error_without(here, test.explained(own, _all_significant(test, own, family, families)))
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
+    changed = _coefficients(test, own, family) if family.least_change else np.zeros(0)
+    if family.least_change:
+        sure_change = sure_share(gain) * float(np.ptp(np.append(changed, 0.0)))
+        is_material = stands_for_material or sure_change >= family.least_change
     found = AcceptedStructure(family=family, evidence=gain, threshold=EVIDENCE.threshold, size=size)
     model.tested = replace(model.tested, best=found, is_material=is_material)
     if not is_material:
         return selected
     rivals = [text for other in test.ranking(own, families) if (text := other.statement) != family.statement]
+    if len(changed) == 1:
+        family = replace(family, statement=f"{family.statement}, by {1000 * changed[0]:+.0f} ms")
     model.structure = family
     full = model.fit(terms, here.motors)
     model.fit_noise(model.residual(full))
     channel = MotorChannel(model, model.fit(terms, full.motors))
     engine.remove_superfluous(channel, terms)
-    return MotorSelection(terms=tuple(terms), fit=channel.fit, structure=replace(found, rivals=rivals[:2]))
+    return MotorSelection(
+        terms=tuple(terms), fit=channel.fit, structure=replace(found, family=family, rivals=rivals[:2])
+    )
 
 
 def _is_large(model: DriveModel, term: Term, fit: DriveFit) -> bool:
     return abs(model.size_of(term, fit)) >= max(term.effect.sizes.values())
+
+
+def _coefficients(test: StructureTest, own: Floats, family: StructureFamily) -> Floats:
+    """Return the coefficients (k,) of a family, fitted together with the model's own columns (2 n, .)."""
+    columns = np.concatenate([own, test.nuisances, family.columns], axis=1)
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    explained = test.explained(own, [family])
+    found = np.linalg.lstsq(columns / scale, explained, rcond=None)[0] / scale
+    return np.asarray(found[-family.columns.shape[1] :])
 
 
 def _all_significant(

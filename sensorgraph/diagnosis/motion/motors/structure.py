@@ -12,7 +12,12 @@ from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
 from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.types import Bools, Floats, Ints
+
+WHAT_CHANGES = {"lag": (Column.LAG, ACTUATOR_LAG), "delay": (Column.DELAY, DEAD_TIME)}
+"""Motor parameters that a load, a warm gear or a restart may change during a run."""
 
 ANSWER = "answer"
 """Kind of the family of motors whose response is not a single lag."""
@@ -41,7 +46,7 @@ ANSWER_LAGS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 ANSWER_SIGMA = 0.3
 """Prior standard deviation of the second response."""
 DELAY_SIGMA = 0.05
-"""[s] prior standard deviation of a lag that differs."""
+"""[s] prior standard deviation of a delay or a lag that changes."""
 RAMPS = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
 """Shares of the acceleration in robot.yaml that a base may really have."""
 SPEED_CUTS = (0.25, 0.5)
@@ -231,21 +236,43 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
 
 
 def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:
-    """Return families for each moment at which gains may change once.
+    """Return families for each moment at which gains, lag or delay may change once.
 
     Parameters
     ----------
     share, passed : (n,) Elapsed part of the run, as a share and in s.
     """
     n, out = EVIDENCE.n_jumps, list[StructureFamily]()
-    price = float(np.log(n))
+    price = float(np.log(3 * n))
     for k in range(1, n + 1):
         if not TRIMMED <= k / (n + 1) <= 1 - TRIMMED:
             continue
         later = share > k / (n + 1)
         when = f"that changes once, {passed[later][0]:.0f} s into the run"
         out.append(_gains("jump", f"a gain {when}", model, fit, [later], [later], price))
+        for what, (column, _) in WHAT_CHANGES.items():
+            out.append(
+                StructureFamily(
+                    kind=f"jump of the {what}",
+                    columns=(fit.columns[:, column] * np.concatenate([later, later]))[:, None],
+                    sigma=DELAY_SIGMA,
+                    statement=f"a {what} of the motors {when}",
+                    choice_price=price,
+                    least_change=_least_change(model, what),
+                )
+            )
     return out
+
+
+def _least_change(model: DriveModel, what: str) -> float:
+    """Return the change [s] of a delay, or a lag, during a run that matters: more than waits for the base may cause.
+
+    Commands in phase with the control loop of the base may all wait a period longer than before. Waits that spread
+    evenly over a period smear a step as a lag of less than half a period.
+    """
+    (size,) = WHAT_CHANGES[what][1].sizes.values()
+    period = model.robot.tolerances.control_period
+    return max(size, period if what == "delay" else period / 2)
 
 
 def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
