@@ -290,7 +290,6 @@ def main() -> None:
     wanted = [part for part in options.only.split(",") if part]
     of_scans = [*settings_of("scan", SCAN), *constants_of("scan", sensorgraph.diagnosis.scan)]
     groups = (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE)
-    of_motion = [s for g in groups for s in settings_of("motion", g)]
     parts = {
         "motion": (
             MOTION_CASES,
