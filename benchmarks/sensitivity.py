@@ -62,7 +62,7 @@ OF_MATHEMATICS = {
 """Constants that nobody has tuned."""
 NOT_ASKED = re.compile(r"settings|calibration|\.site_")
 """Modules whose constants no case needs: runs without a reference, and against a commissioning run."""
-JUDGING = ("GoodnessOfFitSettings", "NamingSettings", "ProfileSettings", "OddScanSettings")
+JUDGING = ("GoodnessOfFitSettings", "NamingSettings", "ProfileSettings")
 """Groups that judge what the search has accepted."""
 TIME_LIMIT = 120.0
 """[s] of one variant."""

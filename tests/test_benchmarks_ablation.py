@@ -23,7 +23,7 @@ ACCEPTED = Facts(
 )
 BIAS = Entry(name="range_bias", channel="scan", title="range bias", facts=ACCEPTED)
 UNKNOWN = Entry(
-    name="late_scans", channel="scan", title="late scans", facts=replace(ACCEPTED, has_name=False)
+    name="scans_elsewhere", channel="scan", title="scans elsewhere", facts=replace(ACCEPTED, has_name=False)
 )
 
 
@@ -81,7 +81,7 @@ def test_a_rule_that_hides_a_wrong_name_is_worth_its_place() -> None:
 def test_without_an_unknown_its_objections_go() -> None:
     both = ledger(UNKNOWN, doubted(BIAS, "part_of_unknown"))
     assert answer(both) == Answer((), True)
-    assert answer(without_hypothesis("late_scans", both)) == Answer(("range_bias",), False)
+    assert answer(without_hypothesis("scans_elsewhere", both)) == Answer(("range_bias",), False)
 
 
 def test_without_its_rival_an_effect_is_decided() -> None:
@@ -122,7 +122,7 @@ def test_the_command_reads_stored_answers(tmp_path: Path, capsys: pytest.Capture
     printed = capsys.readouterr().out
     assert "1 cases: 1 right" in printed and "disagree on the names in 0 cases" in printed
     rows = {one["what"]: one for one in json.loads((tmp_path / "out.json").read_text())["changes"]}
-    assert rows["rule map_error out"]["lost"] == rows["hypothesis late_scans out"]["lost"] == 1
+    assert rows["rule map_error out"]["lost"] == rows["hypothesis scans_elsewhere out"]["lost"] == 1
 
 
 def test_folders_without_answers_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

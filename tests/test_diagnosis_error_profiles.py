@@ -14,13 +14,13 @@ from planners.types import Floats
 from sensorgraph.diagnosis.report.data import unknown_dict
 from sensorgraph.diagnosis.report.figures.profile import profile_picture
 from sensorgraph.diagnosis.result import Unknown
-from sensorgraph.diagnosis.scan.column_fit import fit_columns
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
 from sensorgraph.diagnosis.scan.unnamed.columns import estimated
-from sensorgraph.diagnosis.scan.unnamed.error_profiles import find, profiles
+from sensorgraph.diagnosis.scan.unnamed.error_profiles import BIAS_BY_BEARING, ProfileColumns, find, profiles
 from sensorgraph.effects import EFFECTS, Amendment
 
 
@@ -130,8 +130,22 @@ def test_beside_a_bias_the_mean_of_a_profile_over_bearing_is_nobodys() -> None:
     knots = np.linspace(bearings.min(), bearings.max(), 9)
     hats = np.array([np.interp(bearings, knots, one) for one in np.eye(len(knots))])
     columns = np.where(fitted.solver.jacobian.valid[:, None], hats, 0.0)
-    got = fit_columns(fitted, columns, np.zeros(len(knots)), rounds=2)
+    got = estimated(fitted, ProfileColumns.of(BIAS_BY_BEARING, knots, columns))
     alone = np.diag(got.information)
     assert (alone > 0).all()
     assert np.abs(got.information.sum(axis=1) / alone).max() < 1e-6
     assert all(np.isfinite(estimated(fitted, one).amplitude_z) for one in profiles(fitted))
+
+
+@pytest.mark.parametrize(("people", "is_doubted"), [(0.1, True), (25.0, False)])
+def test_a_coarse_effect_excuses_what_is_left_by_its_own_evidence_alone(
+    people: float, is_doubted: bool
+) -> None:
+    """A few people in the model are no reason to let an error of the bearings pass; many, of as much evidence, are one."""
+    true = data_of(hall_arena()).sensor.bearings
+    data, _ = told(np.radians(1.0) * np.sin(2 * true))
+    found = null_of(data, (EFFECTS["latency"](tau=0.01), EFFECTS["people"](p=0.001)))
+    (doubt,) = sure(find(checked_of(found)))
+    gains = {0: 25 * doubt.misfit, 1: people * doubt.misfit}  # of the latency the error is 4 %
+    got = check(data, found, gains[0], gains, rng=np.random.default_rng(0), n_replicates=4)
+    assert ("bearings are off" in got.statement) == is_doubted

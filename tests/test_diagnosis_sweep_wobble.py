@@ -11,8 +11,7 @@ from scan_samples import hall_arena
 from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
-from sensorgraph.diagnosis.scan.each_scan import each_scan
-from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
@@ -24,7 +23,6 @@ from sensorgraph.diagnosis.scan.sweep_wobble import (
     share_within,
     wobble_of_readings,
 )
-from sensorgraph.diagnosis.scan.unnamed.odd_scans import _offsets
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import parse_robot
 
@@ -134,14 +132,20 @@ def test_drawn_wobble_has_the_size_that_is_told_and_neighbours_share_it() -> Non
 
 
 def test_a_sweep_that_sees_its_reference_wobble_is_like_its_replicates() -> None:
-    """Rays that read longer in one part of a sweep than in another are no offset of the scan."""
+    """Neighbouring rays share the error, in the run as in its replicates."""
+
+    def shared(data: ScanData, fitted: Fitted) -> float:
+        """Return the mean product of the residuals of neighbouring rays, relative to their mean square."""
+        view = FitResiduals(data, fitted)
+        z = np.clip(np.where(view.returned & view.aimed, view.residual / view.sigma, 0.0), -3, 3)
+        return float((z[:, 1:] * z[:, :-1]).mean() / np.square(z).mean())
+
     data = sweeps(0.2, 0.0)
     fitted = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=6)
     rng = np.random.default_rng(2)
-    gain = _offsets(each_scan(fitted))[0]
-    drawn = [_offsets(each_scan(replicate(data, fitted, rng)[1]))[0] for _ in range(4)]
-    assert gain < SCAN.odd_scans.replicate_factor * min(drawn)
+    drawn = [shared(*replicate(data, fitted, rng)) for _ in range(4)]
     still = replace(data, wobble=(0.0, 0.0), memo={})
     alone = fit(still, (), start_state(still, SCAN.noise), SCAN.noise, outer=1, inner=6)
-    without = [_offsets(each_scan(replicate(still, alone, rng)[1]))[0] for _ in range(4)]
-    assert max(without) < 0.2 * min(drawn)
+    without = [shared(*replicate(still, alone, rng)) for _ in range(4)]
+    assert 0.6 * min(drawn) < shared(data, fitted) < 1.4 * max(drawn)
+    assert max(without) < 0.3 * min(drawn)

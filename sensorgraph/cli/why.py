@@ -23,7 +23,7 @@ def why(report: WhyReport, name: WhyName) -> None:
 
       sensorgraph why diagnosis glass
 
-      sensorgraph why diagnosis/report.json late_scans
+      sensorgraph why diagnosis/report.json scans_elsewhere
     """
     from sensorgraph.diagnosis.engine.why import why as explain
     from sensorgraph.diagnosis.report.kept import kept_ledger

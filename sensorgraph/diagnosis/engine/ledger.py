@@ -187,7 +187,7 @@ class Ledger(Sequence[Entry]):
 
 
 def as_name(text: str) -> str:
-    """Return a text as the name of a hypothesis: `Late scans` is `late_scans`."""
+    """Return a text as the name of a hypothesis: `Scans elsewhere` is `scans_elsewhere`."""
     return "_".join(text.lower().replace("-", " ").replace("_", " ").split())
 
 

@@ -371,6 +371,13 @@ class GoodnessOfFitSettings:
     """Minimum ratio of a deviation to the largest z of the replicates."""
     replicate_sigmas: float = 4.0
     """Minimum excess of a deviation over the mean z of the replicates, in their standard deviations."""
+    n_replicates_of_scans: int = 4
+    """Number of replicates in which scans away from their poses are searched for."""
+    min_ratio_of_scans: float = 2.0
+    """Minimum ratio of their gain to that of a replicate. The reference error within a sweep is known to a
+    third of its size, and gains grow with its square."""
+    min_odd_scans: int = 5
+    """Minimum number of scans away from their poses; fewer are single faults."""
     min_share_of_gain: float = 0.003
     """Share of the model's gain below which a misfit is attributed to a correct but coarse model."""
     max_dispersion: float = 1.45
@@ -407,33 +414,6 @@ class GoodnessOfFitSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstancySettings:
-    """Limits for a parameter of the sensor that changes during the run (`unnamed.change_in_time`)."""
-
-    n_parts: int = 16
-    """Number of parts of the run, in time, between which a parameter may change."""
-    min_scans: int = 4
-    """Minimum number of scans in a part; with fewer, the run is too short for the test."""
-    max_refitted: int = 2
-    """Maximum number of parameters that are fitted with two values: those with the largest gain to first
-    order."""
-    trimmed_share: float = 0.15
-    """Share of the run, at its start and at its end, in which no change is searched for (Andrews 1993,
-    section 4)."""
-    confidence: float = 0.99
-    """Confidence level, over all times and parameters, of the test by the scatter of the parts."""
-    min_share: float = 0.5
-    """Minimum change, relative to the value over the whole run; also the ratio of two values below which the
-    smaller counts as 0."""
-    max_wander: float = 2.7
-    """Maximum change of the mean of a drifting reference between two parts of a run, in standard deviations.
-    First-order autoregressions stay within it in 99 % of the runs, at the worst time and for any memory. The
-    largest changes occur for a memory of T / 12 to T."""
-    at_bound: float = 0.999
-    """Share of the bound of a nuisance above which it counts as fixed."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class ProfileSettings:
     """Errors that depend on bearing or range (`unnamed.error_profiles`)."""
 
@@ -441,45 +421,9 @@ class ProfileSettings:
     """Number of bearings, or ranges, between which errors are interpolated."""
     min_rays: int = 3
     """Minimum number of rays per knot."""
-    min_first_order_share: float = 0.1
-    """Minimum gain, to first order, of a profile that replaces all effects, relative to their gain."""
     max_uneven_share: float = 0.1
     """Maximum share of the squared errors that remains after a stretch of the field of view, if the stretch
     is reported."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class OddScanSettings:
-    """Two kinds of scan instead of one (`odd_scans`)."""
-
-    delays: tuple[float, ...] = (-0.15, -0.05, -0.015, 0.015, 0.05, 0.15)
-    """[s] Initial differences of the second delay from the common one."""
-    wider: tuple[float, ...] = (10.0, 30.0, 100.0)
-    """Ratios of the pose error of the second kind to its tolerance."""
-    offsets: tuple[float, ...] = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
-    """[m] Standard deviations of an offset of each scan."""
-    n_replicates: int = 4
-    """Number of replicates simulated from the model; scans must differ more than in each of them."""
-    replicate_factor: float = 2.0
-    """Minimum ratio of the gain to that of a replicate. The reference error within a sweep is known to a
-    third of its size, and gains grow with its square."""
-    min_roughness: float = 1.2
-    """Von Neumann ratio above which offsets belong to single scans, and not to the place."""
-    max_changes_share: float = 0.3
-    """Ratio of the changes between late and other scans to those expected by chance, below which each delay
-    has stretches of the run. A growing delay changes once or twice; independent late scans reach the ratio 1."""
-    clear_lead: float = 2.0
-    """Minimum ratio of the gain [nats] of offsets to that of late stamps or wrong poses."""
-    left_share: float = 0.5
-    """Maximum gain that wrong poses retain next to two delays, relative to the gain before."""
-    first_share: float = 0.2
-    """Initial share of the second kind."""
-    min_share: float = 1e-3
-    """Minimum share of either kind."""
-    min_scans: int = 5
-    """Minimum number of scans of the rarer kind; fewer are single faults."""
-    rounds: int = 40
-    """Number of expectation-maximisation rounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -613,9 +557,7 @@ class ScanSettings:
     standard_error: StandardErrorSettings = field(default_factory=StandardErrorSettings)
     observability: ObservabilitySettings = field(default_factory=ObservabilitySettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
-    constancy: ConstancySettings = field(default_factory=ConstancySettings)
     profiles: ProfileSettings = field(default_factory=ProfileSettings)
-    odd_scans: OddScanSettings = field(default_factory=OddScanSettings)
     held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)

@@ -3,7 +3,7 @@
     gain(of_rest, of_part) = Σ_i clip(log p_i(of_rest² rest + of_part² part) - log p_i(common² (rest + part)), ±MOST)
 
 Here `rest` and `part` are the prior covariances of the pose error of scan i: of everything else, and of this
-part. The log-likelihood log p_i has the pose error integrated out (`odd_scans`), and `common` is the pose scale
+part. The log-likelihood log p_i has the pose error integrated out (`each_scan`), and `common` is the pose scale
 of the fit.
 
 A fit has one scale for the whole reference error. If poses are better than specified and stamps are worse,

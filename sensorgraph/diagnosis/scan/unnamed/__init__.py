@@ -4,14 +4,13 @@ They are hypotheses as effects are: each is tested on the accepted model, and li
 """
 
 from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import ABSORBED_READINGS
-from sensorgraph.diagnosis.scan.unnamed.change_in_time import CHANGE_IN_TIME
 from sensorgraph.diagnosis.scan.unnamed.error_profiles import ERROR_PROFILES
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed, sure
 from sensorgraph.diagnosis.scan.unnamed.laser_scatter import LASER_SCATTER
 from sensorgraph.diagnosis.scan.unnamed.missing_by_direction import MISSING_BY_DIRECTION
 from sensorgraph.diagnosis.scan.unnamed.object_at_wall import OBJECT_AT_WALL
-from sensorgraph.diagnosis.scan.unnamed.odd_scans import ODD_SCANS
 from sensorgraph.diagnosis.scan.unnamed.scans_differ import SCANS_DIFFER
+from sensorgraph.diagnosis.scan.unnamed.scans_elsewhere import SCANS_ELSEWHERE
 from sensorgraph.diagnosis.scan.unnamed.temporary_object import TEMPORARY_OBJECT
 from sensorgraph.diagnosis.scan.unnamed.unexplained import UNEXPLAINED
 from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import WORSE_THAN_SPECIFIED
@@ -25,9 +24,8 @@ UNNAMED: dict[str, Unnamed] = {
     "laser_scatter": LASER_SCATTER,
     "scans_differ": SCANS_DIFFER,
     "unexplained": UNEXPLAINED,
-    "change_in_time": CHANGE_IN_TIME,
     "error_profiles": ERROR_PROFILES,
-    "odd_scans": ODD_SCANS,
+    "scans_elsewhere": SCANS_ELSEWHERE,
 }
 """Name of each test -> the kinds of difference that it finds, in the order in which they are tested and listed."""
 

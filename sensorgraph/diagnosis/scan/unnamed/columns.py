@@ -15,19 +15,25 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtri
 
 from sensorgraph.diagnosis.result import Profile
-from sensorgraph.diagnosis.scan.column_fit import fit_columns, inverse_of_whole, is_better_alone
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
+from sensorgraph.diagnosis.scan.normal_equations import with_prior
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt
 from sensorgraph.robust import rms
 from sensorgraph.types import Bools, Floats
+
+N_PARTS = 16
+"""Number of parts of the run whose scatter gives the standard error."""
+CONFIDENCE = 0.99
+"""Confidence level of the agreement between the parts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +65,8 @@ class Columns(ABC):
     @property
     def least_z(self) -> float:
         """Amplitude in standard errors that it needs, given that its direction was chosen from k dimensions."""
-        k, n = self.columns.shape[1], SCAN.constancy.n_parts
-        return float(np.sqrt(k * fdtri(k, n - 1, SCAN.constancy.confidence)))
+        k = self.columns.shape[1]
+        return float(np.sqrt(k * fdtri(k, N_PARTS - 1, CONFIDENCE)))
 
     @abstractmethod
     def words(self, estimate: ColumnEstimate, fitted: Fitted) -> Words | None:
@@ -69,13 +75,15 @@ class Columns(ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColumnEstimate:
-    """The values of a difference, as estimated from a run."""
+    """The values of a difference, fitted jointly with all unknowns of a fit."""
 
     of: Columns
     values: Floats
     """(k,)"""
     stderr: Floats
     """(k,) standard errors, from the scatter between parts of the run."""
+    information: Floats
+    """(k, k) Information on the values if rays are independent: the inverse of their covariance."""
     gain: float
     """[nats] increase of the penalised log-likelihood."""
     amplitude_z: float
@@ -99,8 +107,7 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     screened = _screened(fitted, columns_of(fitted))
     found = _sure(fitted, screened)
     if fitted.model and null is not None:
-        least = SCAN.profiles.min_first_order_share * (fitted.j - null.j)
-        alone = _sure(null, _screened(null, columns_of(null)), least)
+        alone = _sure(null, _screened(null, columns_of(null)))
         beside = 0.0 if found is None else found[0].gain - found[0].of.price
         if alone is not None and is_better_alone(alone[0].gain - alone[0].of.price, null, beside, fitted):
             found, failed = alone, frozenset(range(len(fitted.model)))
@@ -127,17 +134,28 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     return [sure, *unsure]
 
 
-def _sure(
-    fitted: Fitted, screened: Sequence[tuple[Columns, float]], least: float = 0.0
-) -> tuple[ColumnEstimate, Words] | None:
+def is_better_alone(alone: float, null: Fitted, beside: float, fitted: Fitted) -> bool:
+    """Return whether a structure explains more without any effect than together with the effects.
+
+    The effects then only imitate the structure.
+
+    Parameters
+    ----------
+    alone : [nats] Gain of the structure over the fit without effects.
+    beside : [nats] Gain of the structure over the fit with effects.
+    """
+    return null.j + alone > fitted.j + beside + SCAN.selection.threshold
+
+
+def _sure(fitted: Fitted, screened: Sequence[tuple[Columns, float]]) -> tuple[ColumnEstimate, Words] | None:
     """Return the most likely difference if the likelihood and the parts of the run support it; None otherwise.
 
     Parameters
     ----------
-    screened : Differences, each with its gain [nats] to first order; only those with more than `least`, and than
-        their complexity penalty, are fitted.
+    screened : Differences, each with its gain [nats] to first order; only those with more than their complexity penalty
+        are fitted.
     """
-    found = [estimated(fitted, one) for one, gain in screened if gain > max(least, one.price)]
+    found = [estimated(fitted, one) for one, gain in screened if gain > one.price]
     for one in sorted(found, key=lambda one: -one.gain):
         words = one.of.words(one, fitted)
         if words is None:
@@ -154,35 +172,76 @@ def used_readings(fitted: Fitted) -> Bools:
 
 def _screened(fitted: Fitted, columns: Sequence[Columns]) -> list[tuple[Columns, float]]:
     """Return the differences, each with its gain [nats] to first order."""
-    return [(one, _first_order_gain(fitted, one)) for one in columns]
-
-
-def _first_order_gain(fitted: Fitted, one: Columns) -> float:
-    solver, solution = fitted.solver.with_columns(one.columns), fitted.solution
-    system = solver.assemble(solution.responsibilities.weight, fitted.state.pose_scale)
-    k = one.columns.shape[1]
-    x = np.concatenate([fitted.state.g, solution.p, np.zeros(k)])
-    score = (system.right - system.matrix @ x)[-k:]
-    covariance = inverse_of_whole([(system.matrix, system.right)], solver, solution)[-k:, -k:]
-    return 0.5 * float(score @ covariance @ score)
+    out = []
+    for one in columns:
+        solver, k = fitted.solver.with_columns(one.columns), one.columns.shape[1]
+        weight = fitted.solution.responsibilities.weight
+        system = solver.assemble(weight, fitted.state.pose_scale)
+        x = np.concatenate([fitted.state.g, fitted.solution.p, np.zeros(k)])
+        score = (system.right - system.matrix @ x)[-k:]
+        inverse, _ = _inverted(system.matrix, solver, fitted.solution, k)
+        out.append((one, 0.5 * float(score @ inverse[-k:, -k:] @ score)))
+    return out
 
 
 def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
-    """Fit a difference jointly with all other unknowns."""
-    columns = one.columns
-    got = fit_columns(fitted, columns, np.zeros(columns.shape[1]), rounds=SCAN.fit.column_rounds)
-    used, values = used_readings(fitted), got.values
+    """Fit a difference jointly with all other unknowns.
+
+    Poses and map restart within their tolerances, or within the tolerances that the fit has widened, because the fit may
+    have absorbed the columns in them.
+    """
+    columns, state = one.columns, fitted.state.copy()
+    k, solver = columns.shape[1], fitted.solver.with_columns(columns)
+    bounds = replace(
+        SCAN.noise,
+        min_pose_scale=min(1.0, state.pose_scale),
+        max_scale=max(1.0, state.pose_scale, state.map_scale),
+    )
+    state.delta = solver.data.pose_start
+    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
+    start = np.concatenate([fitted.solution.p, np.zeros(k)])
+    solution = iterate(solver, state, start, bounds, rounds=SCAN.fit.column_rounds, noise_free=True)
+    weight, scale = solution.responsibilities.weight, solution.state.pose_scale
+    parts = np.array_split(np.arange(solver.data.n_scans), N_PARTS)
+    systems = [solver.of_scans(some).assemble(weight[some], scale) for some in parts]
+    x = np.concatenate([solution.state.g, solution.p])
+    scores = np.array([system.right - system.matrix @ x for system in systems])
+    whole = np.sum([system.matrix for system in systems], axis=0)
+    inverse, information = _inverted(whole, solver, solution, k)
+    each = (scores - scores.mean(axis=0)) @ inverse[:, -k:]  # change that each part would cause
+    used, values = used_readings(fitted), solution.p[-k:]
     if one.is_contrast:
         mass = np.einsum("nkm,nm->k", np.abs(columns) > 0, used)
         values = values - float(mass @ values) / max(float(mass.sum()), 1.0)
-    along = got.information @ values / max(float(values @ got.information @ values), 1e-12)
-    scatter = float(np.sqrt(np.square(got.each @ along).sum()))
+    along = information @ values / max(float(values @ information @ values), 1e-12)
+    scatter = float(np.sqrt(np.square(each @ along).sum()))
     return ColumnEstimate(
         of=one,
         values=values,
-        stderr=np.sqrt(np.square(got.each).sum(axis=0)),
-        gain=got.gain,
+        stderr=np.sqrt(np.square(each).sum(axis=0)),
+        information=information,
+        gain=solution.j - fitted.j,
         amplitude_z=1 / max(scatter, 1e-9),
         offset=rms(np.matmul(values, columns)[used]),
         affected=float(used.mean()),
     )
+
+
+def _inverted(matrix: Floats, solver: Solver, solution: Solution, k: int) -> tuple[Floats, Floats]:
+    """Invert normal equations (m, m) with their priors, for the unknowns that are neither held nor at a bound.
+
+    Returns
+    -------
+    The inverse (m, m), 0 for other unknowns. The information (k, k) on the last k unknowns, which exists even if another
+    unknown is collinear with them.
+    """
+    tau, g = solver.scaled(solution.state), solution.state.g
+    total = with_prior(matrix, tau)
+    at_bound = np.abs(g) > (1 - 1e-3) * SCAN.nuisance.max_tolerances * tau
+    free = np.concatenate([~(solver.locked | at_bound), np.ones(len(total) - len(tau), dtype=np.bool_)])
+    inverse = np.zeros(total.shape)
+    inverse[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
+    free[-k:] = False
+    across = total[free][:, -k:]
+    information = total[-k:, -k:] - across.T @ np.linalg.solve(total[np.ix_(free, free)], across)
+    return inverse, np.asarray(information)

@@ -24,6 +24,7 @@ from sensorgraph.diagnosis.scan.consequence import CAUSES, length
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.columns import (
+    N_PARTS,
     ColumnEstimate,
     Columns,
     Words,
@@ -132,7 +133,7 @@ def profiles(fitted: Fitted) -> list[ProfileColumns]:
     settings, bearings = SCAN.profiles, data.sensor.bearings
     if data.sensor.is_composite or measures_cones(data.sensor):
         return []
-    if data.n_rays < settings.min_rays * settings.n_knots or data.n_scans < 2 * SCAN.constancy.n_parts:
+    if data.n_rays < settings.min_rays * settings.n_knots or data.n_scans < 2 * N_PARTS:
         return []
     used = used_readings(fitted)
     if not used.any():
