@@ -27,7 +27,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import is_same, least_gain, shortlist
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
-from sensorgraph.diagnosis.scan.worth import led_on_plain_walls, price, worth
+from sensorgraph.diagnosis.scan.worth import price, worth
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
 from sensorgraph.types import Progress, ProgressBars, no_progress
@@ -127,7 +127,7 @@ class EffectSearch:
                 if not memory.repeat_in_full():
                     return None
                 continue
-            order = ranked(self.data, led_on_plain_walls(self.data, tried, self.current), self.threshold)
+            order = ranked(self.data, tried, self.threshold)
             self._chosen, gain = order[0]
             effect = self._chosen.model[-1]
             if gain >= self.threshold:

@@ -60,23 +60,10 @@ class Hypothesis:
     """Tolerance-sized copies of the effect, held at 0 during the test."""
 
 
-def smooth_candidates(data: ScanData, fitted: Fitted, *, broad: bool = False) -> list[Candidate]:
-    """Return every smooth effect with its start values and expected gain, best first.
-
-    Parameters
-    ----------
-    broad : Whether readings far from the model also have weight, for effects far above the noise.
-    """
+def smooth_candidates(data: ScanData, fitted: Fitted) -> list[Candidate]:
+    """Return every smooth effect with its start values and expected gain, best first."""
     data, solver, state = as_cast(data, fitted.state), fitted.solver, fitted.state
-    y = solver.y
-    if broad:
-        e = y[solver.jacobian.valid & data.returned]
-        sigma = max(1.5 * float(np.median(np.abs(e))) if len(e) else 0.0, data.sensor.sigma)
-        weight = np.where(data.returned, 1 / (1 + (y / (3 * sigma)) ** 2), 0.0) / sigma**2
-        system = solver.assemble(weight, state.pose_scale)
-    else:
-        weight = fitted.solution.responsibilities.weight
-        system = fitted.solution.system
+    weight, system = fitted.solution.responsibilities.weight, fitted.solution.system
     tau = solver.scaled(state)
     held = solver.locked
     problem = _problem(system, tau, held)

@@ -33,21 +33,16 @@ def shortlist(
     """
     smooth = smooth_candidates(data, current)
     sharp = [c for c in smooth if c.gain > SCAN.selection.min_expected_gain]
-    broad = [
-        c
-        for c in smooth_candidates(data, current, broad=True)
-        if c.gain > 2 * SCAN.selection.min_expected_gain
-    ]
     rough = proposed_candidates(FitResiduals(data, current))
     if data.clutter_nats:
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))
     first = memory.first
-    first.compare((*sharp, *rough, *broad), is_first=not current.model)
+    first.compare((*sharp, *rough), is_first=not current.model)
     first.note((*smooth, *rough))
     present = {name_at_place(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}
-    for group, most in ((sharp, 5), (rough, 8), (broad, 4)):
+    for group, most in ((sharp, 5), (rough, 8)):
         taken = 0
         for c in group:
             key = name_at_place(c.amendment)
