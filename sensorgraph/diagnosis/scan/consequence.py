@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.scan.fit import Cast
 from sensorgraph.diagnosis.scan.settings import SCAN, GoodnessOfFitSettings
+from sensorgraph.robust import rms
 
 CAUSES: dict[tuple[str, str], str] = {
     (
@@ -75,6 +77,8 @@ SCATTER_CAUSES = (
 )
 """Causes of scans that differ from each other more than the rays within a scan do."""
 MAX_CAUSES = 3
+LEAST_CHANGE = 1e-4
+"""[m] minimum change of a reading by an effect."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,3 +174,22 @@ def likely_causes(deviations: Sequence[Deviation]) -> tuple[str, ...]:
         explained[key] = explained.get(key, 0.0) + d.z**2
     ranked = sorted(explained, key=lambda key: -explained[key])
     return tuple(dict.fromkeys(CAUSES.get(key, ELSE[key[1]]) for key in ranked))[:MAX_CAUSES]
+
+
+def scan_change(one: Cast, other: Cast) -> ScanError:
+    """Return the difference between two simulations of the same scans."""
+    a, b = one.expected, other.expected
+    with np.errstate(invalid="ignore"):
+        off = np.abs(a.reading - b.reading)
+    moved = np.isfinite(off) & (off > LEAST_CHANGE)
+    rounding = (a.lattice**2 - b.lattice**2) / 12
+    noise = np.sqrt(np.abs(a.sigma**2 - b.sigma**2 + rounding))
+    noisy = np.isfinite(noise) & (noise > LEAST_CHANGE)
+    lost = np.abs(a.p_return - b.p_return)
+    wrong = float(lost.mean()) + abs(a.stray - b.stray) + abs(a.short - b.short)
+    return ScanError(
+        offset=rms(off[moved]),
+        noise=rms(noise[noisy]),
+        affected=float((moved | noisy).mean()),
+        wrong=min(wrong, 1.0) if wrong > LEAST_CHANGE else 0.0,
+    )

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
 from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.hypotheses import effect_entry
-from sensorgraph.diagnosis.scan.consequence import ScanError
+from sensorgraph.diagnosis.scan.consequence import scan_change
 from sensorgraph.diagnosis.scan.fit import Cast, cast, thin
 from sensorgraph.diagnosis.scan.materiality import SURELY_MATERIAL
 from sensorgraph.diagnosis.scan.model_selection import Explained, Step
@@ -20,12 +18,9 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
-from sensorgraph.robust import rms
 
 N_SCANS = 40
 """Number of scans that are cast for the consequence of an effect."""
-LEAST_CHANGE = 1e-4
-"""[m] minimum change of a reading."""
 
 
 def effect_entries(
@@ -124,22 +119,3 @@ def _with_size(entry: Entry, with_it: Cast, without_it: Cast) -> Entry:
     size = scan_change(with_it, without_it)
     sentence = size.sentence() if size.to_dict() else ""
     return replace(entry, size=size.to_dict(), consequence=sentence)
-
-
-def scan_change(one: Cast, other: Cast) -> ScanError:
-    """Return the difference between two simulations of the same scans."""
-    a, b = one.expected, other.expected
-    with np.errstate(invalid="ignore"):
-        off = np.abs(a.reading - b.reading)
-    moved = np.isfinite(off) & (off > LEAST_CHANGE)
-    rounding = (a.lattice**2 - b.lattice**2) / 12
-    noise = np.sqrt(np.abs(a.sigma**2 - b.sigma**2 + rounding))
-    noisy = np.isfinite(noise) & (noise > LEAST_CHANGE)
-    lost = np.abs(a.p_return - b.p_return)
-    wrong = float(lost.mean()) + abs(a.stray - b.stray) + abs(a.short - b.short)
-    return ScanError(
-        offset=rms(off[moved]),
-        noise=rms(noise[noisy]),
-        affected=float((moved | noisy).mean()),
-        wrong=min(wrong, 1.0) if wrong > LEAST_CHANGE else 0.0,
-    )

@@ -175,10 +175,7 @@ def _in_partition(
         if family in ("bias", "spread"):  # deviations that the map may cause, in units of the scores
             # a wall is off by half a pixel, and the borders of its cells deviate from it by a whole one
             least = np.maximum(least, grain / sigma if family == "bias" else (2 * grain / sigma) ** 2)
-        of_one_wall = view.data.grain > 0 and part.name not in OF_WALLS
         for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > least)):
-            if of_one_wall and _is_of_one_wall(view, value, counted & (part.index == k), float(least[k])):
-                continue
             found.append(
                 Deviation(
                     family=family,
@@ -204,26 +201,6 @@ def numbered(keys: Ints) -> tuple[Ints, Ints]:
         return found[0], found[1]
     occurs = np.bincount(keys) > 0
     return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[keys]
-
-
-def _is_of_one_wall(view: FitResiduals, value: Floats, some: Bools, least: float) -> bool:
-    """Return whether some rays (n_scans, n_rays) deviate only on one wall, as in an occupancy-grid map with an offset wall.
-
-    Parameters
-    ----------
-    value : (n_scans, n_rays) Scores.
-    least : Minimum mean at which the other rays deviate.
-    """
-    wall = np.where(some, view.beams.wall, -1)
-    n_walls = int(wall.max(initial=-1)) + 1
-    on_walls = some & (wall >= 0)
-    if not on_walls.any():
-        return False
-    total = float(value[some].sum())
-    by_wall = np.bincount(wall[on_walls], value[on_walls], n_walls)
-    rest = some & (wall != int(np.argmax(np.sign(total) * by_wall)))
-    left = float(value[rest].sum()) / max(int(rest.sum()), 1)
-    return int(rest.sum()) < SCAN.goodness_of_fit.min_rays or float(np.sign(total)) * left < least
 
 
 def largest_z(found: Sequence[Deviation]) -> dict[str, float]:

@@ -210,10 +210,7 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
         return False
-    naming, is_coarse = SCAN.naming, explained.final.solver.data.grain > 0
-    share = naming.max_pixel_share if is_coarse else naming.max_unexplained_share
-    if fit.is_of_building:
-        share = naming.max_building_share
+    share = SCAN.naming.max_building_share if fit.is_of_building else SCAN.naming.max_unexplained_share
     return fit.is_doubted and fit.misfit > share * explained.gains[index]
 
 

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.fit import bare_cast
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects.places import part_of_wall
 from sensorgraph.types import Bools, Floats, Ints
 
 SPEED_EDGES = np.array([-2, -0.25, -0.1, -0.02, 0.02, 0.1, 0.2, 0.3, 0.4, 2])  # [m/s]
@@ -18,7 +16,6 @@ TURN_RATE_EDGES = np.array([-3, -0.8, -0.5, -0.25, -0.08, 0.08, 0.25, 0.5, 0.8, 
 ACCELERATION_EDGES = np.array([-5, -0.3, -0.15, -0.05, 0.05, 0.15, 0.3, 5])  # [m/s²]
 INCIDENCE_EDGES = np.radians(np.arange(0, 91, 7.5))  # [rad]
 N_BEARINGS, N_HEADINGS, N_TIMES = 24, 16, 20
-SLANTING = np.radians(40)  # [rad] of incidence
 OF_WALLS = ("wall", "wall and half of the run", "hit place")
 """Partitions whose bins also show the shape of walls."""
 MARGIN = 0.1  # [m] of the raster beyond the arena
@@ -83,7 +80,7 @@ def partitions(view: FitResiduals) -> list[Partition]:
         acceleration = np.gradient(data.speed, stamps)
         out.append(binned("acceleration", acceleration[:, None], ACCELERATION_EDGES, "m/s²"))
     late = (t > data.span / 2).astype(np.intp)
-    return [*out, *_parts_of_walls(view, t), _by_half(by_bearing, late), _by_half(walls, late)]
+    return [*out, _by_half(by_bearing, late), _by_half(walls, late)]
 
 
 def _binned(name: str, value: Floats, edges: Floats, unit: str, scale: float) -> Partition:
@@ -119,37 +116,6 @@ def _by_half(whole: Partition, late: Ints) -> Partition:
         label=lambda k: f"{whole.label(k // 2)}, {('first', 'second')[k % 2]} half of the run",
         place=lambda k: whole.place(k // 2),
     )
-
-
-def _parts_of_walls(view: FitResiduals, t: Floats) -> list[Partition]:
-    """Sort the rays of each pane, mirror or black part by time and incidence, to test the model of that part."""
-    out = []
-    span = view.data.span
-    scene = view.fitted.cast.scene
-    placed = [a for a in view.fitted.model if a.effect.on_part_of_wall]
-    bare = bare_cast(scene) if placed else view.beams
-    for a in placed:
-        on = part_of_wall(scene, bare, a)
-        quarter = np.clip((4 * t / max(span, 1e-9)).astype(np.intp), 0, 3)
-        steep = np.nan_to_num(bare.incidence) > SLANTING
-        out.append(
-            Partition(
-                name="part of a wall",
-                index=np.where(on, quarter * 2 + steep, -1),
-                count=8,
-                label=_quarters(a.place),
-                place=_always(a.location.xy if a.location is not None else None),
-            )
-        )
-    return out
-
-
-def _quarters(place: str) -> Callable[[int], str]:
-    return lambda k: f"{place}, quarter {k // 2 + 1} of the run, {('head-on', 'slanting')[k % 2]}"
-
-
-def _always(point: tuple[float, float] | None) -> Callable[[int], tuple[float, float] | None]:
-    return lambda k: point
 
 
 def _by_cell(

@@ -396,13 +396,6 @@ class GoodnessOfFitSettings:
     """Number of readings that an absorbing effect must explain before its properties are tested."""
     failed_law_share: float = 0.1
     """Share of an effect's evidence that counts as unexplained if its readings contradict its properties."""
-    n_light_directions: int = 36
-    """Number of directions in the room in which light may cause missing returns."""
-    min_light_share: float = 0.3
-    """Minimum share of missing returns on other walls, in the directions in which a part of a wall has
-    missing returns."""
-    max_light_share: float = 0.15
-    """Maximum share of missing returns on that part, in a direction without light."""
     clearly_better: float = 1.0
     """[nats] Minimum gain of a reading that one model explains and another does not."""
     min_rays_of_scan: int = 10
@@ -526,8 +519,6 @@ class NamingSettings:
     """Minimum share of the rays aimed at a missing obstacle that pass its place, in an occupancy-grid map."""
     max_unexplained_share: float = 0.006
     """Maximum unexplained misfit of a named effect, relative to its evidence."""
-    max_pixel_share: float = 0.03
-    """The same for an occupancy-grid map, which is coarse."""
     max_building_share: float = 0.1
     """The same if only the building differs from its map; an effect of the sensor shows everywhere."""
     max_probability: float = 0.975

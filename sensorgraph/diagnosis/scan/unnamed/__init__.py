@@ -7,7 +7,6 @@ from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import ABSORBED_READIN
 from sensorgraph.diagnosis.scan.unnamed.error_profiles import ERROR_PROFILES
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed, sure
 from sensorgraph.diagnosis.scan.unnamed.laser_scatter import LASER_SCATTER
-from sensorgraph.diagnosis.scan.unnamed.missing_by_direction import MISSING_BY_DIRECTION
 from sensorgraph.diagnosis.scan.unnamed.object_at_wall import OBJECT_AT_WALL
 from sensorgraph.diagnosis.scan.unnamed.scans_differ import SCANS_DIFFER
 from sensorgraph.diagnosis.scan.unnamed.scans_elsewhere import SCANS_ELSEWHERE
@@ -19,7 +18,6 @@ UNNAMED: dict[str, Unnamed] = {
     "absorbed_readings": ABSORBED_READINGS,
     "object_at_wall": OBJECT_AT_WALL,
     "temporary_object": TEMPORARY_OBJECT,
-    "missing_by_direction": MISSING_BY_DIRECTION,
     "worse_than_specified": WORSE_THAN_SPECIFIED,
     "laser_scatter": LASER_SCATTER,
     "scans_differ": SCANS_DIFFER,

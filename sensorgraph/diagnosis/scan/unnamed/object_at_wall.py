@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.consequence import ScanError
+from sensorgraph.diagnosis.scan.consequence import scan_change
 from sensorgraph.diagnosis.scan.fit import cast
 from sensorgraph.diagnosis.scan.materiality import is_map_error
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects.effect import without
-from sensorgraph.robust import rms
 from sensorgraph.types import Floats
 
 NAME = "object_at_wall"
-LEAST_CHANGE = 1e-4
-"""[m] minimum change of a reading by an effect."""
 WALL_CAUSES: tuple[str, ...] = (
     "furniture that leans against the wall, an open door, a radiator",
     "a reflector, which appears wider than it is",
@@ -41,6 +37,7 @@ def find(checked: Checked) -> list[Doubt]:
         if data.arena.contains(np.array([[x, y]]))[0]:
             continue
         wall = data.arena.names[_nearest_wall(data.arena.walls, np.array([x, y]))]
+        whole = cast(data, view.fitted.model)  # other effects may have moved since the cast of the fit
         out.append(
             Doubt(
                 family=NAME,
@@ -51,27 +48,11 @@ def find(checked: Checked) -> list[Doubt]:
                 threshold=SCAN.selection.threshold,
                 failed=frozenset([index]),
                 fringe=frozenset([index]),
-                size=_size_of(view, index),
+                size=scan_change(whole, cast(data, without(view.fitted.model, index))),
                 causes=WALL_CAUSES,
             )
         )
     return out
-
-
-def _size_of(view: FitResiduals, index: int) -> ScanError:
-    """Return the error of readings that are simulated without one effect of the model."""
-    fitted, data = view.fitted, view.fitted.solver.data
-    # cast both models again, because other effects may have moved since the cast of the fit
-    whole, rest = (
-        cast(data, model).expected.reading for model in (fitted.model, without(fitted.model, index))
-    )
-    with np.errstate(invalid="ignore"):
-        off = np.abs(rest - whole)
-    some = view.returned & (off > LEAST_CHANGE)
-    return ScanError(
-        offset=rms(off[some & np.isfinite(off)]),
-        affected=float(some.mean()),
-    )
 
 
 def _nearest_wall(walls: Floats, point: Floats) -> int:

@@ -12,6 +12,11 @@ from sensorgraph.effects.effect import without
 from sensorgraph.effects.proposals import best_run
 
 NAME = "temporary_object"
+CAUSES = (
+    "a door, a vehicle or a person that came or left during the run",
+    "light from one side of the room, in which returns are missing while the robot faces it",
+)
+"""Possible causes; the second one only for parts of walls."""
 
 
 def find(checked: Checked) -> list[Doubt]:
@@ -40,7 +45,7 @@ def find(checked: Checked) -> list[Doubt]:
                     threshold=settings.min_absence_gain,
                     failed=frozenset([index]),
                     size=ScanError(wrong=n_better / view.log_p.size),
-                    causes=("a door, a vehicle or a person that came or left during the run",),
+                    causes=CAUSES[: 2 if a.effect.on_part_of_wall else 1],
                 )
             )
     return out
