@@ -51,7 +51,6 @@ def test_scans_that_fit_the_arena_show_a_straight_reference(
         goodness_of_fit=cast(Any, None),
         second_gap=None,
         shared=(),
-        cannot_tell_apart=[],
     )
     for kind in ("reference place", "reference jumps"):
         how = Deviation(

@@ -127,7 +127,7 @@ def diagnose(
             odometry, drive = motion(is_reference_straight=True)
     return Finding(
         channels=_channels(scans, odometry, drive, simulated),
-        intake={**laid.notes, "cannot_tell_apart": scans.cannot_tell_apart},
+        intake=laid.notes,
         data=laid.data,
         explained=scans.explained,
         goodness_of_fit=scans.goodness_of_fit,

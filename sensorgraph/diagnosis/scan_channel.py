@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, tol
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
 from sensorgraph.diagnosis.scan.model_selection import Explained, explain
 from sensorgraph.diagnosis.scan.naming import ScanNames, located, name_scan_effects
-from sensorgraph.diagnosis.scan.observability import alike, not_observable
+from sensorgraph.diagnosis.scan.observability import not_observable
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.scatter_scale import doubt_of_scatter, freed_scatter
@@ -42,7 +41,6 @@ class ScanDiagnosis:
     second_gap: Gap | None
     shared: tuple[Amendment, ...]
     """Effects that a simulation shows with the same size, with its parameters; they become part of the simulator."""
-    cannot_tell_apart: list[dict[str, Any]]
 
 
 def diagnose_scans(
@@ -91,7 +89,6 @@ def diagnose_scans(
             *family_entries(goodness, train.sensor.sigma),
         )
         result = replace(names.result, gap=gap, not_observable=unseen_effects, considered=considered)
-        pairs = [asdict(pair) for pair in alike(train, final)]
     return ScanDiagnosis(
         result=result,
         names=names,
@@ -99,7 +96,6 @@ def diagnose_scans(
         goodness_of_fit=goodness,
         second_gap=second_gap,
         shared=shared,
-        cannot_tell_apart=pairs,
     )
 
 

@@ -119,8 +119,6 @@ class Diagnostics:
     """
     why_unseen: str | Callable[[Exposure], str] = ""
     """Property that a run lacks if it cannot show a smooth effect."""
-    look_alike: Callable[[Exposure], tuple[str, str] | None] | None = None
-    """Return an effect that this run cannot distinguish from it, and the reason; None if it can distinguish all."""
 
     is_forecast: bool = True
     """The design of a next run can compare models with and without the effect."""

@@ -7,16 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from sensorgraph.effects.interfaces import Exposure
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Floats
 
 UNEXPECTED = 5.0
 """[nats] Evidence of a reading far from its expected value."""
 MAX_PLACES = 4
 """Maximum number of places in a text."""
-ONE_WALL = 0.98
-"""Share of rays on one wall above which the cause may be this wall."""
-MIN_RAYS = 4
-"""Minimum number of rays for a statement on their place."""
 
 
 def listed(places: Sequence[str]) -> str:
@@ -45,15 +41,6 @@ def too_few_returns(exposure: Exposure, share: float, need: float) -> str:
     per_return = p * np.log(p / usual) + (1 - p) * np.log((1 - p) / (1 - usual)) if p > usual else 0.0
     nats = exposure.n_seen * per_return
     return "" if nats >= need else f"only {exposure.n_seen} returns; {falls_short(nats, need)}"
-
-
-def only_wall(exposure: Exposure, some: Bools) -> str:
-    """Return the one wall that almost all of some rays hit; empty if they hit several."""
-    walls = np.bincount(exposure.wall[some & (exposure.wall >= 0)])
-    n = int(walls.sum())
-    if n < MIN_RAYS or walls.max() <= ONE_WALL * n:
-        return ""
-    return exposure.arena.names[int(walls.argmax())]
 
 
 def count_of_returns(exposure: Exposure) -> str:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.exposures import only_wall
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import wall_direction_error
@@ -15,9 +14,6 @@ from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import RIGHT_ANGLE, Scene, fade
 
 BLUR = 0.003  # [rad] width of the transition
-
-STEEP = float(np.radians(70.0))
-"""[rad] Incidence at which a drop-out on all walls differs from one black wall."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -42,12 +38,6 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     if exposure.lost(0.0, some) >= need:
         return ""
     return f"only {int(some.sum())} rays hit a wall at an incidence above {np.degrees(alpha):.0f} degrees"
-
-
-def look_alike(exposure: Exposure) -> tuple[str, str] | None:
-    """Return whether all rays at oblique incidence hit one wall."""
-    wall = only_wall(exposure, exposure.incidence > STEEP)
-    return ("black_surface", f"all such rays hit {wall}") if wall else None
 
 
 INCIDENCE_DROPOUT = Effect(
@@ -77,7 +67,5 @@ INCIDENCE_DROPOUT = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(
-        unobservable=unobservable, look_alike=look_alike, propose=propose, leftovers=LOSS_LEFTOVERS
-    ),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose, leftovers=LOSS_LEFTOVERS),
 )

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.exposures import only_wall
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import map_error
@@ -54,13 +53,6 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     return f"no return from farther than {farthest:.1f} m, with a range of {limit:.0f} m"
 
 
-def look_alike(exposure: Exposure) -> tuple[str, str] | None:
-    """Return whether all returns of long range came from one wall."""
-    far = FAR_SHARE * exposure.sensor.range_max
-    wall = only_wall(exposure, exposure.seen & (exposure.reading > far))
-    return ("black_surface", f"all such rays hit {wall}") if wall else None
-
-
 MAX_RANGE = Effect(
     name="max_range",
     title="reduced maximum range",
@@ -87,7 +79,5 @@ MAX_RANGE = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(
-        unobservable=unobservable, look_alike=look_alike, propose=propose, leftovers=LOSS_LEFTOVERS
-    ),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose, leftovers=LOSS_LEFTOVERS),
 )

@@ -7,20 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.exposures import MIN_RAYS
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.proposals import cut_off, within_range
 from sensorgraph.effects.set_up import map_error
-from sensorgraph.types import Floats
 from sensorgraph.world.scene import Scene, fade
 
 EITHER_WAY = -0.7
 """[nats] Log-likelihood of a reading in the blind zone: about half are reported as too near, the others are missing."""
-
-NEAR = 0.3
-"""[m] Range below which a return distinguishes a blind zone from a part of the robot."""
-ONE_BEARING = float(np.radians(20.0))
-"""[rad] Maximum angle of a part of the robot."""
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -49,21 +42,6 @@ def unobservable(exposure: Exposure, typical: Mapping[str, float], need: float) 
     return f"no return from nearer than {nearest:.2f} m"
 
 
-def spread(bearings: Floats) -> float:
-    """Return the angle [rad] of the narrowest sector with all bearings (n,)."""
-    turned = np.sort(bearings % (2 * np.pi))
-    return float(2 * np.pi - np.diff(turned, append=turned[0] + 2 * np.pi).max())
-
-
-def look_alike(exposure: Exposure) -> tuple[str, str] | None:
-    """Return whether all returns of short range came from one bearing."""
-    near = exposure.seen & (exposure.reading < NEAR)
-    rays = np.flatnonzero(near.any(axis=0))
-    if near.sum() >= MIN_RAYS and spread(exposure.sensor.bearings[rays]) < ONE_BEARING:
-        return "self_occlusion", "all near returns came from one bearing"
-    return None
-
-
 MIN_RANGE = Effect(
     name="min_range",
     title="larger minimum range",
@@ -86,5 +64,5 @@ MIN_RANGE = Effect(
         ),
     ),
     transform=transform,
-    diagnostics=Diagnostics(unobservable=unobservable, look_alike=look_alike, propose=propose),
+    diagnostics=Diagnostics(unobservable=unobservable, propose=propose),
 )

@@ -6,7 +6,6 @@ information with the poses eliminated. For missing returns it is the expected lo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +18,6 @@ from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import Amendment, Effect
-from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats
 
 
@@ -47,7 +45,6 @@ class RunExposure:
         self.core = bounds.core
         self.loss = max(bounds.loss[1], noise.loss)
         self.stray = max(bounds.stray[1], noise.stray)
-        self._projected: dict[frozenset[Nuisance], Floats] = {}
 
     def need(self, amendment: Amendment) -> float:
         """Return the evidence [nats] that is required to name an effect."""
@@ -62,39 +59,11 @@ class RunExposure:
         """Smooth effects as directions in the space of the nuisances."""
         return hypotheses(self.data, self.fitted)
 
-    def locked(self, own: Sequence[Nuisance]) -> Bools:
-        """Return which nuisances (n_g,) are held if those of an effect, `own`, are held."""
-        held = self.solver.locked.copy()
-        held[list(own)] = True
-        return held
-
-    def projected(self, own: Sequence[Nuisance]) -> Floats:
-        """Return the information (n_g, n_g) with the nuisances projected out, except for `own`, which are held."""
-        key = frozenset(own)
-        if key not in self._projected:
-            free = ~self.locked(own)
-            matrix = self.system.matrix
-            k = len(matrix)
-            rest = np.concatenate([free, np.ones(k - self.n, dtype=np.bool_)])
-            inner = matrix[np.ix_(rest, rest)].copy()
-            inner[np.diag_indices_from(inner)] += np.concatenate(
-                [1 / self.tau[free] ** 2, np.full(k - self.n, 1e-9)]
-            )
-            across = matrix[rest][:, : self.n]
-            self._projected[key] = matrix[: self.n, : self.n] - across.T @ np.linalg.solve(inner, across)
-        return self._projected[key]
-
-    def nats(self, shift: Floats, free: Floats | None = None, own: Sequence[Nuisance] = ()) -> float:
-        """Return the expected evidence if the truth differs by `shift` (n_g,) from a model without it.
-
-        Parameters
-        ----------
-        free : (n_g, k) Directions that the other model may use instead, with the nuisances `own` held.
-        """
+    def nats(self, shift: Floats) -> float:
+        """Return the expected evidence if the truth differs by `shift` (n_g,) from a model without it."""
         matrix = self.system.matrix
-        k = len(matrix)
-        x = np.concatenate([shift, np.zeros(k - self.n)])
-        return _missing(matrix, matrix @ x, float(x @ matrix @ x), self.tau, self.locked(own), free)
+        x = np.concatenate([shift, np.zeros(len(matrix) - self.n)])
+        return _missing(matrix, matrix @ x, float(x @ matrix @ x), self.tau, self.solver.locked)
 
     def nats_of_columns(self, columns: Floats, size: float) -> list[float]:
         """Return the expected evidence [nats] of each of several smooth changes of the readings, with nuisances refitted.
@@ -118,9 +87,7 @@ class RunExposure:
         matrix = solver.assemble(weight, self.fitted.state.pose_scale).matrix
         nuisances = matrix[:n, :n]
         return [
-            _missing(
-                nuisances, size * matrix[:n, k], float(size * size * matrix[k, k]), self.tau, old.locked, None
-            )
+            _missing(nuisances, size * matrix[:n, k], float(size * size * matrix[k, k]), self.tau, old.locked)
             for k in range(n, n + columns.shape[1])
         ]
 
@@ -152,16 +119,8 @@ class RunExposure:
         )
 
 
-def _missing(
-    matrix: Floats, right: Floats, square: float, tau: Floats, held: Bools, free: Floats | None
-) -> float:
-    """Return half of the squared length that bounded nuisances and the directions `free` do not absorb."""
-    n = len(tau)
-    if free is not None:
-        k = len(right)
-        big = np.eye(k, k + free.shape[1])
-        big[:n, k:] = free
-        matrix, right = big.T @ matrix @ big, big.T @ right
+def _missing(matrix: Floats, right: Floats, square: float, tau: Floats, held: Bools) -> float:
+    """Return half of the squared length that bounded nuisances do not absorb."""
     g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held)
     x = np.concatenate([g, p])
     taken = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((g / tau) ** 2))

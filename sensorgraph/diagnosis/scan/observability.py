@@ -1,4 +1,4 @@
-"""Report effects that a run could not have shown, and pairs of effects that it cannot distinguish.
+"""Report effects that a run could not have shown, and what would distinguish two effects.
 
     evidence(x) = min over n of  [ (x - n)' M (x - n) + |n / tau|² ] / 2
 
@@ -10,9 +10,6 @@ derivatives, the rays that would be lost or change their reading are counted ins
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from sensorgraph.diagnosis.scan.exposure import RunExposure
@@ -21,25 +18,9 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.exposures import falls_short, listed
-from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 
 SIZE = SCAN.observability.size
-MAX_CORRELATION = SCAN.observability.max_correlation
-
-
-@dataclass(frozen=True, kw_only=True)
-class Alike:
-    """Two effects that this run cannot distinguish."""
-
-    a: str
-    b: str
-    correlation: float
-    """Correlation of their columns, with the nuisance parameters projected out."""
-    nats: float
-    """[nats] Expected evidence between them if the first is present at three times its materiality."""
-    why: str
-    """One sentence, with the observation that would distinguish them."""
 
 
 def not_observable(
@@ -62,12 +43,6 @@ def not_observable(
             if name not in present and name not in out:
                 out[name] = why
     return {name: out[name] for name in EFFECTS if name in out}
-
-
-def alike(data: ScanData, fitted: Fitted, *, threshold: float = SCAN.selection.threshold) -> list[Alike]:
-    """Return the pairs of effects that this run would show but cannot distinguish."""
-    exposure = RunExposure(data, fitted, threshold)
-    return [*_alike_smooth(exposure), *_look_alikes(exposure)]
 
 
 def _hidden_by_poses(data: ScanData) -> dict[str, str]:
@@ -155,65 +130,6 @@ def _lacks(effect: Effect, exposure: RunExposure) -> str:
     return why or f"it varies with {effect.varies}"
 
 
-def _alike_smooth(exposure: RunExposure) -> list[Alike]:
-    """Compare the columns of smooth effects, with the nuisance parameters projected out."""
-    rows = []
-    for hypothesis in exposure.hypotheses:
-        amendment, directions, own = hypothesis.amendment, hypothesis.directions, hypothesis.nuisances
-        shifts = [directions @ size for size in _sizes(amendment.effect)]
-        nats = [exposure.nats(shift) for shift in shifts]
-        best = int(np.argmax(nats))
-        rows.append((amendment, directions, own, shifts[best], nats[best] >= exposure.need(amendment)))
-    out = []
-    for i, (a, da, own_a, xa, shown_a) in enumerate(rows):
-        for b, db, own_b, xb, shown_b in rows[i + 1 :]:
-            if (a.place and (b.place or not shown_a)) or (b.place and not shown_b):
-                continue
-            own = (*own_a, *own_b)
-            one = _compare(exposure, xa, db, own, shown_a)
-            other = _compare(exposure, xb, da, own, shown_b)
-            found = [f for f in (one, other) if f is not None]
-            if found:
-                out.append(_said_alike(a, b, max(f[0] for f in found), min(f[1] for f in found)))
-    return sorted(out, key=lambda pair: pair.nats)
-
-
-def _compare(
-    exposure: RunExposure, shift: Floats, others: Floats, own: Sequence[Nuisance], shown: bool
-) -> tuple[float, float] | None:
-    """Return correlation and expected evidence [nats] between two effects; None if the run distinguishes them."""
-    correlation, strength = _correlation(exposure, shift, others, own)
-    if strength < 1.0 or (correlation < MAX_CORRELATION and not shown):
-        return None
-    if correlation < MAX_CORRELATION and strength * (1 - correlation**2) > exposure.threshold:
-        return None  # bounds on the nuisances can only increase the evidence
-    nats = exposure.nats(shift, others, own)
-    return (correlation, nats) if correlation >= MAX_CORRELATION or nats < exposure.threshold else None
-
-
-def _correlation(
-    exposure: RunExposure, x: Floats, others: Floats, own: Sequence[Nuisance]
-) -> tuple[float, float]:
-    """Return the correlation of a column x with the span of other columns o, and the evidence [nats] for x.
-
-        correlation² = f_xo f_oo⁻¹ f_ox / f_xx,   evidence = f_xx / 2
-
-    The matrix f is the information with the nuisance parameters projected out.
-    """
-    columns = np.column_stack([x, others])
-    f = columns.T @ exposure.projected(own) @ columns
-    explained = f[0, 1:] @ np.linalg.lstsq(f[1:, 1:], f[1:, 0], rcond=1e-9)[0]
-    share = float(np.clip(explained / max(f[0, 0], 1e-300), 0.0, 1.0))
-    return float(np.sqrt(share)), float(0.5 * f[0, 0])
-
-
-def _said_alike(a: Amendment, b: Amendment, correlation: float, nats: float) -> Alike:
-    name_a, name_b = (f"{e.effect.title} at {e.place}" if e.place else e.effect.title for e in (a, b))
-    why = f"this run hardly distinguishes {name_a} from {name_b} (log Bayes factor {nats:.0f})"
-    raw_a, raw_b = (f"{e.name} of {e.place}" if e.place else e.name for e in (a, b))
-    return Alike(a=raw_a, b=raw_b, correlation=correlation, nats=nats, why=f"{why}; {separation(a, b)}")
-
-
 def separation(a: Amendment, b: Amendment) -> str:
     """Return the observation that would distinguish two effects."""
     hint = a.effect.rivals.get(b.name) or b.effect.rivals.get(a.name)
@@ -221,16 +137,3 @@ def separation(a: Amendment, b: Amendment) -> str:
         hint
         or f"{a.effect.title} varies with {a.effect.varies}; {b.effect.title} varies with {b.effect.varies}"
     )
-
-
-def _look_alikes(exposure: RunExposure) -> list[Alike]:
-    """Query each effect for another effect that this run cannot distinguish from it."""
-    out = []
-    for effect in EFFECTS.values():
-        found = effect.diagnostics.look_alike(exposure) if effect.diagnostics.look_alike is not None else None
-        if found is None:
-            continue
-        other, reason = EFFECTS[found[0]], found[1]
-        words = f"this run cannot distinguish {effect.title} from {other.title}: {reason}; {effect.rivals[other.name]}"
-        out.append(Alike(a=effect.name, b=other.name, correlation=1.0, nats=0.0, why=words))
-    return out

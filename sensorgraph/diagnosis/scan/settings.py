@@ -317,8 +317,6 @@ class ObservabilitySettings:
 
     size: float = 3.0
     """Size of an effect that should show, in materialities."""
-    max_correlation: float = 0.98
-    """Correlation of projected columns above which a run cannot distinguish effects."""
 
 
 @dataclass(frozen=True, kw_only=True)
