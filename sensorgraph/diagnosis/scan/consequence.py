@@ -122,9 +122,9 @@ class ScanError:
         ----------
         sigma : [m] Standard deviation of a reading; the minimum error grows with it.
         """
-        least = max(settings.min_range_error, settings.min_size["bias"] * sigma)
-        is_off = max(self.offset, self.noise) >= least and self.affected >= settings.min_affected_share
-        return is_off or self.wrong >= settings.min_wrong_share
+        least = max(settings.min_range_error, settings.min_error_of_sigma * sigma)
+        is_off = max(self.offset, self.noise) >= least and self.affected >= settings.min_share
+        return is_off or self.wrong >= settings.min_share
 
 
 def scan_error(deviations: Sequence[Deviation], sigma: float, n_readings: int) -> ScanError:

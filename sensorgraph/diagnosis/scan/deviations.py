@@ -22,6 +22,14 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints
 
+MIN_SCATTER = {
+    "bias": 1.0,
+    "spread": float(np.sqrt(2)),
+    "outliers": float(np.sqrt(SCAN.noise.stray[1] * (1 - SCAN.noise.stray[1]))),
+    "misses": float(np.sqrt(SCAN.noise.loss[1] * (1 - SCAN.noise.loss[1]))),
+}
+"""Kind of deviation -> minimum scatter of the score of one ray: that of a standard normal variable, of its square, and of
+events with the largest usual probability."""
 MAX_BINS_PER_KEY = 4
 """Maximum ratio of bins to keys for counting; above it the keys are sorted, because a large building would fill the memory."""
 
@@ -62,7 +70,7 @@ def scores(view: FitResiduals) -> Scores:
     spread = np.where(explained, clipped**2 - expected_square, 0.0)
     # the part that all bins share is the noise level, not a property of a place, time or bearing
     common = float(spread.sum() / max(explained.sum(), 1))
-    spread -= explained * np.clip(common, -settings.max_common_spread, settings.max_common_spread)
+    spread -= explained * common
     returned = view.returned & view.aimed & off_edge
     p_stray = view.noise.stray + expected.stray + expected.short
     due = view.aimed & off_edge & ~np.isnan(view.z)
@@ -111,36 +119,27 @@ def _outlines(view: FitResiduals) -> Bools | None:
     return out
 
 
-def deviations(
-    view: FitResiduals,
-    parts: Sequence[Partition] | None = None,
-    *,
-    min_z: float | None = None,
-) -> list[Deviation]:
-    """Return the bins of material size whose z exceeds `min_z`, largest first.
+def deviations(view: FitResiduals, parts: Sequence[Partition] | None = None) -> list[Deviation]:
+    """Return the bins whose z exceeds `listed_z`, largest first.
 
     For spreads and shares only positive deviations count.
 
     Parameters
     ----------
     parts : Partitions to test; None for all.
-    min_z : Minimum z; None for the z of listed deviations.
     """
-    least = SCAN.goodness_of_fit.listed_z if min_z is None else min_z
     score = scores(view)
     blocks = ((view.data.stamps - view.data.begin) / SCAN.block).astype(np.intp)
     blocks -= blocks.min(initial=0)
     found = [
         deviation
         for part in (partitions(view) if parts is None else parts)
-        for deviation in _in_partition(view, part, score, blocks, least)
+        for deviation in _in_partition(view, part, score, blocks)
     ]
     return sorted(found, key=lambda d: -abs(d.z))
 
 
-def _in_partition(
-    view: FitResiduals, part: Partition, score: Scores, blocks: Ints, min_z: float
-) -> list[Deviation]:
+def _in_partition(view: FitResiduals, part: Partition, score: Scores, blocks: Ints) -> list[Deviation]:
     """Return the deviating bins of one partition; `blocks` (n_scans,) is the block index of each scan."""
     settings, sigma = SCAN.goodness_of_fit, view.data.sensor.sigma
     inside = part.index >= 0
@@ -166,15 +165,15 @@ def _in_partition(
         total, rays = by_bin(s), by_bin(n)
         mean = total / np.maximum(rays, 1)
         scatter = np.sqrt(by_bin((s - mean[bins] * n) ** 2) + 1e-12)
-        min_scatter = settings.min_scatter[family] * np.sqrt(rays)
+        min_scatter = MIN_SCATTER[family] * np.sqrt(rays)
         z = total / np.maximum(np.maximum(scatter, min_scatter), 1e-9)
         enough = (rays >= settings.min_rays) & (by_bin(n > 0) >= settings.min_blocks)
-        is_strong = (np.abs(z) > min_z) if family == "bias" else (z > min_z)
+        is_strong = (np.abs(z) if family == "bias" else z) > settings.listed_z
         unit = sigma if family == "bias" else 1.0
-        least = np.full(part.count, settings.min_size[family])
-        if family in ("bias", "spread"):  # deviations that the map may cause, in units of the scores
+        least = np.zeros(part.count)  # of deviations that the map may cause, in units of the scores
+        if family in ("bias", "spread"):
             # a wall is off by half a pixel, and the borders of its cells deviate from it by a whole one
-            least = np.maximum(least, grain / sigma if family == "bias" else (2 * grain / sigma) ** 2)
+            least = grain / sigma if family == "bias" else (2 * grain / sigma) ** 2
         for k in np.flatnonzero(enough & is_strong & (np.abs(mean) > least)):
             found.append(
                 Deviation(
@@ -205,7 +204,7 @@ def numbered(keys: Ints) -> tuple[Ints, Ints]:
 
 def largest_z(found: Sequence[Deviation]) -> dict[str, float]:
     """Return the largest |z| per kind of deviation."""
-    out = dict.fromkeys(SCAN.goodness_of_fit.min_z, 0.0)
+    out = dict.fromkeys(MIN_SCATTER, 0.0)
     for deviation in found:
         out[deviation.family] = max(out[deviation.family], abs(deviation.z))
     return out

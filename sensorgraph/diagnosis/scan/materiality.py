@@ -140,7 +140,7 @@ def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
     rest = tuple(a for a in fitted.model if a != amendment)
     better = log_p_at(data, fitted.model, fitted.state) - log_p_at(data, rest, fitted.state)
     settings = SCAN.goodness_of_fit
-    return float((better > settings.clearly_better).mean()) < settings.min_wrong_share
+    return float((better > settings.clearly_better).mean()) < settings.min_share
 
 
 def required_ratio(fitted: Fitted, amendment: Amendment) -> float:

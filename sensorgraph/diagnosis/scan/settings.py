@@ -332,43 +332,26 @@ class GoodnessOfFitSettings:
     bent_reference: float = 2.0
     """Distortion of the reference, in tolerances, above which scans that fit the arena with its poses
     contradict it."""
-    max_common_spread: float = 0.15
-    """Maximum excess of the mean square that all bins share; it is the level of the noise and has no place."""
     min_rays: int = 40
     """Minimum number of rays in a bin."""
     min_blocks: int = 5
     """Minimum number of blocks in a bin."""
     listed_z: float = 3.5
     """z above which a bin is listed as a deviation."""
-    replicate_z: float = 2.5
-    """The same in replicates."""
     max_listed: int = 24
     """Maximum number of deviations that are listed before effects are named."""
-    min_z: Mapping[str, float] = field(
-        default_factory=lambda: {"bias": 4.5, "spread": 6.0, "outliers": 6.0, "misses": 6.0}
-    )
-    """By kind of deviation: z below which it is not tested."""
-    min_size: Mapping[str, float] = field(
-        default_factory=lambda: {"bias": 0.2, "spread": 0.15, "outliers": 0.004, "misses": 0.005}
-    )
-    """By kind: size below which a deviation does not matter, as standard deviations, ratio, share and share."""
-    min_scatter: Mapping[str, float] = field(
-        default_factory=lambda: {"bias": 1.0, "spread": 1.6, "outliers": 0.04, "misses": 0.04}
-    )
-    """By kind: minimum scatter of the score of one ray."""
+    min_z: float = 4.5
+    """z below which a deviation is not tested."""
     min_range_error: float = 0.003
-    """[m] Minimum error of readings, or of their noise, that matters; at least `min_size["bias"]` times
-    sigma."""
-    min_affected_share: float = 0.002
-    """Minimum share of readings with such an error."""
-    min_wrong_share: float = 0.002
-    """Minimum share of wrong or missing readings that matters."""
+    """[m] Minimum error of readings, or of their noise, that matters."""
+    min_error_of_sigma: float = 0.2
+    """The same in standard deviations of a reading; the larger limit counts."""
+    min_share: float = 0.002
+    """Minimum share of readings with such an error, and of wrong or missing readings, that matters."""
     n_replicates: int = 12
     """Number of replicates simulated from the model."""
     replicate_factor: float = 1.25
     """Minimum ratio of a deviation to the largest z of the replicates."""
-    replicate_sigmas: float = 4.0
-    """Minimum excess of a deviation over the mean z of the replicates, in their standard deviations."""
     n_replicates_of_scans: int = 4
     """Number of replicates in which scans away from their poses are searched for."""
     min_ratio_of_scans: float = 2.0

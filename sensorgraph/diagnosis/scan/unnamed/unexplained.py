@@ -12,7 +12,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.consequence import likely_causes, scan_error
-from sensorgraph.diagnosis.scan.deviations import deviations, largest_z
+from sensorgraph.diagnosis.scan.deviations import MIN_SCATTER, deviations, largest_z
 from sensorgraph.diagnosis.scan.replicates import replicate
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -24,20 +24,15 @@ def find(checked: Checked) -> list[Doubt]:
     view, found, nominal = checked.view, checked.deviations, checked.nominal
     settings, t = SCAN.goodness_of_fit, view.data.tolerances
     most = {family: z for family, z in largest_z(found).items() if z > 0}
-    suspects = {family: z for family, z in most.items() if z > settings.min_z[family]}
-    out = [
-        _deviating(view, found, family, settings.min_z[family]) for family in most if family not in suspects
-    ]
+    suspects = {family: z for family, z in most.items() if z > settings.min_z}
+    out = [_deviating(view, found, family, settings.min_z) for family in most if family not in suspects]
     if not suspects:
         return out
     wider = max(t.map / max(nominal.map, 1e-9), t.pose_xy / max(nominal.pose_xy, 1e-9))
     slack = float(np.clip(wider, 1.0, 2.0))
     drawn = _largest_z_of_replicates(checked)
     for family in suspects:
-        d = np.array(drawn[family])
-        beyond_largest = settings.replicate_factor * float(d.max())
-        beyond_mean = float(d.mean() + settings.replicate_sigmas * d.std())
-        threshold = max(beyond_largest, beyond_mean, settings.min_z[family]) * slack
+        threshold = max(settings.replicate_factor * max(drawn[family]), settings.min_z) * slack
         out.append(_deviating(view, found, family, threshold))
     return out
 
@@ -62,12 +57,12 @@ def _deviating(view: FitResiduals, found: Sequence[Deviation], family: str, thre
 
 def _largest_z_of_replicates(checked: Checked) -> dict[str, list[float]]:
     """Return the largest |z| of each replicate, by kind of deviation."""
-    out: dict[str, list[float]] = {family: [] for family in SCAN.goodness_of_fit.min_z}
+    out: dict[str, list[float]] = {family: [] for family in MIN_SCATTER}
     for done in range(checked.n_replicates):
         if checked.tick is not None:
             checked.tick(done, checked.n_replicates)
         again = FitResiduals(*replicate(checked.view.data, checked.fitted, checked.rng))
-        found = deviations(again, checked.partitions, min_z=SCAN.goodness_of_fit.replicate_z)
+        found = deviations(again, checked.partitions)
         for family, z in largest_z(found).items():
             out[family].append(z)
     return out
