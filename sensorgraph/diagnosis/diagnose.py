@@ -30,9 +30,8 @@ from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
-from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out
+from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out, freed_of_scans
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
-from sensorgraph.diagnosis.scan.poses_of_scans import freed_of_scans
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, diagnose_scans, shows_straight_reference

@@ -10,9 +10,8 @@ import numpy as np
 from sensorgraph.diagnosis.motion.wheels.reference_structure import BENT_REFERENCE
 from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
-from sensorgraph.diagnosis.scan.considered import effect_entries
+from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
-from sensorgraph.diagnosis.scan.families import family_entries
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap

@@ -88,7 +88,7 @@ class ScanData:
     """Whether the reference poses are those of the laser, so that its mount cannot be estimated."""
     from_scans: bool = False
     """Whether the poses were located with these scans, so that they absorb errors that move a scan as a whole
-    (`poses_of_scans`)."""
+    (`likely_poses`)."""
     wobble: tuple[float, float] = (0.0, 0.0)
     """[m, rad] Standard deviation of the reference error within one sweep of the laser, along each axis and
     in heading."""
