@@ -274,8 +274,9 @@ def test_what_is_sure_but_small_is_no_doubt_and_a_doubt_says_its_size(quiet: Sca
     if size < 0.005:
         assert not doubt.is_doubted and doubt.immaterial
     else:
-        assert doubt.size is not None and 0.5 * size < doubt.size.offset < 1.5 * size
-        assert any("bearing" in cause for cause in doubt.causes)
+        assert doubt.told is not None and doubt.told.size is not None
+        assert 0.5 * size < doubt.told.size.offset < 1.5 * size
+        assert any("bearing" in cause for cause in doubt.told.causes)
 
 
 def test_one_block_in_eight_is_held_out(quiet: ScanData) -> None:

@@ -13,7 +13,7 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Unknown
 from sensorgraph.diagnosis.scan import naming
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.goodness_of_fit import told_by_tolerances
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, told_by_tolerances
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
@@ -102,7 +102,8 @@ def test_a_map_that_must_be_twice_as_wide_beside_an_effect_is_told(
     model = (EFFECTS["map_scale"](s=0.008, dx=0.0, dy=0.0),) if has_effect else ()
     state = replace(null.state, map_scale=scale)
     stretched = replace(null, model=model, solution=replace(null.solution, state=state))
-    told = told_by_tolerances(stretched)
+    told = told_by_tolerances(stretched, GoodnessOfFit())
     assert (told is not None) == is_told
     if told is not None:
-        assert f"the map would have to be {scale:.1f} times worse" in told.statement
+        assert told.told is not None
+        assert f"the map would have to be {scale:.1f} times worse" in told.told.statement

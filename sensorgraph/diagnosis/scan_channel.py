@@ -129,8 +129,7 @@ def judge(
             if a in names.accepted and local_rival(final, i, baseline.noise_bounds)
         }
         names = name_scan_effects(train, explained, found, listed, echoes=echoes) if echoes else names
-    if not found.is_doubted and (told := told_by_tolerances(final)) is not None:
-        told = replace(told, tested=found.tested, least=found.least)
+    if not found.is_doubted and (told := told_by_tolerances(final, found)) is not None:
         found = told if baseline is None else baseline.discount(told, train)
         names = name_scan_effects(train, explained, found, listed)
     return found, names

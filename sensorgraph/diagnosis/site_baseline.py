@@ -170,16 +170,18 @@ class SiteBaseline:
             memo={},
         )
 
-    def discount(self, doubt: GoodnessOfFit, data: ScanData) -> GoodnessOfFit:
+    def discount(self, fit: GoodnessOfFit, data: ScanData) -> GoodnessOfFit:
         """Remove unmodelled structure no larger than that of the known-good runs; keep only the excess misfit."""
         site = SCAN.site
         windows = [w for cuts in self.runs for level in cuts[:2] for w in level]
         own = max(w.misfit / w.n_readings for w in windows) * data.ranges.size
-        beyond = doubt.misfit - site.misfit_factor * own
-        is_clear = doubt.threshold <= 0 or doubt.statistic > site.doubt_factor * doubt.threshold
-        if beyond > 0 and is_clear:
-            return replace(doubt, misfit=site.doubt_share * beyond)
-        return replace(doubt, statement="", deviation=None, misfit=0.0, failed=frozenset())
+        told = fit.told
+        if told is not None:
+            beyond = told.misfit - site.misfit_factor * own
+            is_clear = told.threshold <= 0 or told.statistic > site.doubt_factor * told.threshold
+            if beyond > 0 and is_clear:
+                return replace(fit, told=replace(told, misfit=site.doubt_share * beyond))
+        return replace(fit, told=None, failed=frozenset())
 
 
 def _has_sharper_test(name: str, intervals: Mapping[str, BaselineInterval]) -> bool:

@@ -135,13 +135,14 @@ def family_entries(fit: GoodnessOfFit, sigma: float) -> tuple[Entry, ...]:
     best: dict[str, Doubt] = {}
     for doubt in sorted(fit.tested, key=lambda d: (not d.is_sure, -d.misfit)):
         best.setdefault(doubt.family, doubt)
-    names = [name for name in titles() if name in best or (fit.is_doubted and fit.family == name)]
+    names = [name for name in titles() if name in best or (fit.told is not None and fit.told.family == name)]
     return tuple(_family_entry(name, best.get(name), fit, sigma) for name in names)
 
 
 def _family_entry(name: str, doubt: Doubt | None, fit: GoodnessOfFit, sigma: float) -> Entry:
-    is_told = fit.is_doubted and fit.family == name
-    told = fit if is_told or doubt is None else doubt
+    is_told = fit.told is not None and fit.told.family == name
+    told = fit.told if is_told or doubt is None else doubt
+    assert told is not None  # one of the two, by the choice of names
     is_sure = doubt is None or doubt.is_sure
     size = ScanError() if told.size is None or told.misfit <= 0 else told.size
     price = 0.0 if doubt is None else doubt.price
@@ -171,9 +172,9 @@ def _family_entry(name: str, doubt: Doubt | None, fit: GoodnessOfFit, sigma: flo
 
 def _objection(fit: GoodnessOfFit) -> Objection:
     """Return why a significant difference is not reported."""
-    if not fit.is_doubted:
+    if fit.told is None:
         return Objection("site_baseline", "the known-good runs of the site show as much")
-    cause = titles().get(fit.family, "a difference")
+    cause = titles().get(fit.told.family, "a difference")
     return Objection("weaker_than_unknown", f"{cause}, which explains more, may cause it")
 
 

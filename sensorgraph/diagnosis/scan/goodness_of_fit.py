@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.result import Deviation, Profile
 from sensorgraph.diagnosis.scan.cast_place import as_cast
-from sensorgraph.diagnosis.scan.consequence import ScanError, likely_causes
+from sensorgraph.diagnosis.scan.consequence import likely_causes
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -24,28 +23,12 @@ from sensorgraph.types import Progress
 class GoodnessOfFit:
     """Result of the test whether a model leaves anything unexplained."""
 
-    statement: str = ""
-    """Statement of the unexplained difference; empty if the model is sufficient."""
-    deviation: Deviation | None = None
-    """Strongest deviation that exceeds the replicates."""
-    statistic: float = 0.0
-    threshold: float = 0.0
-    misfit: float = 0.0
-    """[nats] approximate evidence for the unexplained part."""
+    told: Doubt | None = None
+    """The difference that is reported; None if the model is sufficient."""
     failed: frozenset[int] = frozenset()
     """Indices of effects of the model whose assumptions are violated; they are clutter and not named."""
-    size: ScanError | None = None
-    """Error of a simulation without the unexplained part; None if it cannot be quantified."""
-    causes: tuple[str, ...] = ()
-    """Possible causes, most likely first."""
     immaterial: tuple[str, ...] = ()
     """Differences that are significant, but smaller than a user tolerates."""
-    profile: Profile | None = None
-    """Error over bearing or range, if the difference is one."""
-    is_of_building: bool = False
-    """Whether the only difference is between the building and its map."""
-    family: str = ""
-    """Kind of the unexplained difference; empty without one."""
     tested: tuple[Doubt, ...] = ()
     """All differences that were tested, for the ledger."""
     least: float = 0.0
@@ -54,7 +37,12 @@ class GoodnessOfFit:
     @property
     def is_doubted(self) -> bool:
         """Whether a difference is unexplained."""
-        return bool(self.statement)
+        return self.told is not None
+
+    @property
+    def misfit(self) -> float:
+        """[nats] approximate evidence for the unexplained part."""
+        return 0.0 if self.told is None else self.told.misfit
 
 
 def check(
@@ -102,10 +90,11 @@ def check(
     trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
     doubts = [d for d in doubts if d not in trifles]
     immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)
+    rest = GoodnessOfFit(failed=fringes, immaterial=immaterial, tested=tested, least=least)
     if not doubts:
-        return GoodnessOfFit(failed=fringes, immaterial=immaterial, tested=tested, least=least)
-    told = _of_doubts(doubts[0], doubts, doubts[0].causes or likely_causes(checked.deviations), immaterial)
-    return replace(told, failed=told.failed | fringes, tested=tested, least=least)
+        return rest
+    first = replace(doubts[0], causes=doubts[0].causes or likely_causes(checked.deviations))
+    return _told(first, doubts, rest)
 
 
 def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Doubt]:
@@ -140,7 +129,7 @@ def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
     return wider, fit(wider, fitted.model, start, bounds, outer=1, inner=3)
 
 
-def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
+def told_by_tolerances(fitted: Fitted, found: GoodnessOfFit) -> GoodnessOfFit | None:
     """Report tolerances of a fit that are far wider than specified; None if they are not.
 
     Where effects explain much of the residuals, no other test would detect this. For example, a room that is longer than in
@@ -152,24 +141,14 @@ def told_by_tolerances(fitted: Fitted) -> GoodnessOfFit | None:
     doubts = sure(beyond_tolerances(*scales, data.tolerances, data.n_scans, limit))
     if not doubts:
         return None
-    return _of_doubts(max(doubts, key=lambda d: d.statistic), doubts, doubts[0].causes, ())
+    return _told(max(doubts, key=lambda d: d.statistic), doubts, replace(found, failed=frozenset()))
 
 
-def _of_doubts(
-    first: Doubt, doubts: Sequence[Doubt], causes: tuple[str, ...], immaterial: tuple[str, ...]
-) -> GoodnessOfFit:
-    """Return the result for the first of several differences."""
-    return GoodnessOfFit(
-        family=first.family,
-        statement=first.statement,
+def _told(first: Doubt, doubts: Sequence[Doubt], rest: GoodnessOfFit) -> GoodnessOfFit:
+    """Add the first of several differences to a result; it takes the strongest deviation of all of them."""
+    told = replace(
+        first,
         deviation=next((d.deviation for d in doubts if d.deviation is not None), None),
-        statistic=first.statistic,
-        threshold=first.threshold,
-        misfit=first.misfit,
-        failed=frozenset(i for d in doubts for i in d.failed),
-        size=first.size,
-        causes=causes,
-        immaterial=immaterial,
-        profile=first.profile,
         is_of_building=all(d.is_of_building for d in doubts),
     )
+    return replace(rest, told=told, failed=rest.failed.union(*(d.failed for d in doubts)))

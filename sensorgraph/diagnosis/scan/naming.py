@@ -33,7 +33,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, material_probability
-from sensorgraph.diagnosis.scan.unnamed import titles
+from sensorgraph.diagnosis.scan.unnamed import Doubt, titles
 from sensorgraph.effects import Amendment
 
 IMITATED = Objection("mean_pose_error", "the mean error of a reference that drifts may imitate it")
@@ -116,7 +116,7 @@ def name_scan_effects(
             a.name: f"{brief(a)} is within the possible mean error of a reference that drifts"
             for a in (complete[i] for i in sorted(imitated))
         },
-        unknown=_unknown(fit),
+        unknown=_unknown(fit.told),
         rivals=tuple(
             Rival(
                 name=rival.name,
@@ -210,17 +210,20 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
         return False
-    share = SCAN.naming.max_building_share if fit.is_of_building else SCAN.naming.max_unexplained_share
-    return fit.is_doubted and fit.misfit > share * explained.gains[index]
+    told, naming = fit.told, SCAN.naming
+    if told is None:
+        return False
+    share = naming.max_building_share if told.is_of_building else naming.max_unexplained_share
+    return told.misfit > share * explained.gains[index]
 
 
 def _why_doubted(fit: GoodnessOfFit) -> Objection:
     """Return why effects lose their names (`is_doubted`)."""
-    if not fit.is_doubted:
+    if fit.told is None:
         return Objection(
             "failed_law", "it is a fringe of the readings of another effect, or a bulge of a wall"
         )
-    cause = titles().get(fit.family, fit.statement)
+    cause = titles().get(fit.told.family, fit.told.statement)
     return Objection("part_of_unknown", f"it may be a part of what no effect explains: {cause}")
 
 
@@ -229,23 +232,24 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
     naming, fitted, gain = SCAN.naming, explained.final, explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
     p = naming.max_probability * float(expit(naming.probability_per_nat * min(gain, margin)))
-    if fit.is_doubted and not fit.is_of_building:
+    if fit.told is not None and not fit.told.is_of_building:
         p *= naming.doubted_factor
     return float(p * material_chance(fitted, fitted.model[index]))
 
 
-def _unknown(fit: GoodnessOfFit) -> Unknown | None:
-    if not fit.is_doubted:
+def _unknown(told: Doubt | None) -> Unknown | None:
+    if told is None:
         return None
-    size = "" if fit.size is None else f"; {fit.size.sentence()}"
+    consequence = "" if told.size is None else told.size.sentence()
+    size = f"; {consequence}" if consequence else ""
     return Unknown(
-        statement=f"something no effect of the library explains: {fit.statement}{size}",
-        deviation=fit.deviation,
-        statistic=fit.statistic,
-        threshold=fit.threshold,
-        size={} if fit.size is None else fit.size.to_dict(),
-        consequence="" if fit.size is None else fit.size.sentence(),
-        families=fit.causes,
-        family=fit.family,
-        profile=fit.profile,
+        statement=f"something no effect of the library explains: {told.statement}{size}",
+        deviation=told.deviation,
+        statistic=told.statistic,
+        threshold=told.threshold,
+        size={} if told.size is None else told.size.to_dict(),
+        consequence=consequence,
+        families=told.causes,
+        family=told.family,
+        profile=told.profile,
     )

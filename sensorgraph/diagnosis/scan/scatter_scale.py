@@ -10,6 +10,7 @@ from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.unnamed.family import Doubt
 from sensorgraph.diagnosis.scan.unnamed.laser_scatter import NAME
 from sensorgraph.effects.range_noise import RANGE_NOISE
 from sensorgraph.robust import robust_sigma
@@ -51,9 +52,9 @@ def doubt_of_scatter(found: GoodnessOfFit, explained: Explained, data: ScanData)
     scale, sigma = explained.final.state.noise.core, data.sensor.sigma
     if found.is_doubted or scale < SCAN.nuisance.stretched_scale:
         return found
-    return replace(
-        found,
+    told = Doubt(
         family=NAME,
+        misfit=0.0,
         statement=f"the laser scatters by {scale:.1f} times sensor.sigma in robot.yaml, at all ranges "
         f"({1000 * scale * sigma:.0f} mm instead of {1000 * sigma:.0f} mm)",
         statistic=scale,
@@ -61,3 +62,4 @@ def doubt_of_scatter(found: GoodnessOfFit, explained: Explained, data: ScanData)
         size=ScanError(noise=sigma * (scale**2 - 1) ** 0.5, affected=1.0),
         causes=SIGMA_CAUSES,
     )
+    return replace(found, told=told)
