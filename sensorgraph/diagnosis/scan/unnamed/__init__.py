@@ -4,6 +4,7 @@ They are hypotheses as effects are: each is tested on the accepted model, and li
 """
 
 from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import ABSORBED_READINGS
+from sensorgraph.diagnosis.scan.unnamed.change_in_time import CHANGE_IN_TIME
 from sensorgraph.diagnosis.scan.unnamed.error_profiles import ERROR_PROFILES
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed, sure
 from sensorgraph.diagnosis.scan.unnamed.laser_scatter import LASER_SCATTER
@@ -23,6 +24,7 @@ UNNAMED: dict[str, Unnamed] = {
     "scans_differ": SCANS_DIFFER,
     "unexplained": UNEXPLAINED,
     "error_profiles": ERROR_PROFILES,
+    "change_in_time": CHANGE_IN_TIME,
     "scans_elsewhere": SCANS_ELSEWHERE,
 }
 """Name of each test -> the kinds of difference that it finds, in the order in which they are tested and listed."""

@@ -54,6 +54,8 @@ class Columns(ABC):
     """Name of its kind."""
     columns: Floats
     """(n_scans, k, n_rays) derivative of the readings by each value."""
+    fails: frozenset[int] = frozenset()
+    """Indices of the effects of the model that it contradicts."""
     is_contrast: bool = False
     """Whether only differences between the values count, so that their mean over all readings is 0."""
 
@@ -126,7 +128,7 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
         misfit=best.gain,
         statistic=best.amplitude_z,
         threshold=best.of.least_z,
-        failed=failed,
+        failed=failed | best.of.fails,
         size=ScanError(offset=best.offset, affected=best.affected),
         causes=words.causes,
         profile=words.profile,
@@ -179,7 +181,7 @@ def _screened(fitted: Fitted, columns: Sequence[Columns]) -> list[tuple[Columns,
         system = solver.assemble(weight, fitted.state.pose_scale)
         x = np.concatenate([fitted.state.g, fitted.solution.p, np.zeros(k)])
         score = (system.right - system.matrix @ x)[-k:]
-        inverse, _ = _inverted(system.matrix, solver, fitted.solution, k)
+        inverse = inverted(system.matrix, solver, fitted.solution)
         out.append((one, 0.5 * float(score @ inverse[-k:, -k:] @ score)))
     return out
 
@@ -207,7 +209,8 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     x = np.concatenate([solution.state.g, solution.p])
     scores = np.array([system.right - system.matrix @ x for system in systems])
     whole = np.sum([system.matrix for system in systems], axis=0)
-    inverse, information = _inverted(whole, solver, solution, k)
+    inverse = inverted(whole, solver, solution)
+    information = _information(whole, solver, solution, k)
     each = (scores - scores.mean(axis=0)) @ inverse[:, -k:]  # change that each part would cause
     used, values = used_readings(fitted), solution.p[-k:]
     if one.is_contrast:
@@ -227,21 +230,26 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     )
 
 
-def _inverted(matrix: Floats, solver: Solver, solution: Solution, k: int) -> tuple[Floats, Floats]:
-    """Invert normal equations (m, m) with their priors, for the unknowns that are neither held nor at a bound.
+def inverted(matrix: Floats, solver: Solver, solution: Solution) -> Floats:
+    """Return the inverse (m, m) of normal equations with their priors; 0 for unknowns that are held or at a bound."""
+    total, free = _free(matrix, solver, solution)
+    inverse = np.zeros(total.shape)
+    inverse[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
+    return inverse
 
-    Returns
-    -------
-    The inverse (m, m), 0 for other unknowns. The information (k, k) on the last k unknowns, which exists even if another
-    unknown is collinear with them.
-    """
+
+def _information(matrix: Floats, solver: Solver, solution: Solution, k: int) -> Floats:
+    """Return the information (k, k) on the last k unknowns, which exists even if another unknown is collinear with them."""
+    total, free = _free(matrix, solver, solution)
+    free[-k:] = False
+    across = total[free][:, -k:]
+    return np.asarray(total[-k:, -k:] - across.T @ np.linalg.solve(total[np.ix_(free, free)], across))
+
+
+def _free(matrix: Floats, solver: Solver, solution: Solution) -> tuple[Floats, Bools]:
+    """Return normal equations (m, m) with their priors, and which unknowns (m,) are neither held nor at a bound."""
     tau, g = solver.scaled(solution.state), solution.state.g
     total = with_prior(matrix, tau)
     at_bound = np.abs(g) > (1 - 1e-3) * SCAN.nuisance.max_tolerances * tau
     free = np.concatenate([~(solver.locked | at_bound), np.ones(len(total) - len(tau), dtype=np.bool_)])
-    inverse = np.zeros(total.shape)
-    inverse[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
-    free[-k:] = False
-    across = total[free][:, -k:]
-    information = total[-k:, -k:] - across.T @ np.linalg.solve(total[np.ix_(free, free)], across)
-    return inverse, np.asarray(information)
+    return total, free
