@@ -289,7 +289,6 @@ def main() -> None:
     options = parser.parse_args()
     wanted = [part for part in options.only.split(",") if part]
     of_scans = [*settings_of("scan", SCAN), *constants_of("scan", sensorgraph.diagnosis.scan)]
-    groups = (motion.EVIDENCE, motion.ODOMETRY, motion.DRIVE)
     parts = {
         "motion": (
             MOTION_CASES,
