@@ -289,7 +289,7 @@ def identify(
     Parameters
     ----------
     data : Run, its file, or a CSV with a header line.
-    output, inputs : Names of signals: `x y phi v omega cmd_v cmd_omega`, `L67`, `L45-90`, or columns of the CSV.
+    output, inputs : Signals: `x y phi v omega cmd_v cmd_omega`, `L67`, `L45-90`, or columns; `"v,omega"` are two inputs.
     every : Use every n-th sample.
     options : Fields of `sensorgraph.identification.identify.IdentificationSpec`: `lags`, `output_lags`, `degree`, ...
 
@@ -297,8 +297,8 @@ def identify(
     ------
     SensorgraphError : A signal is unknown, or the data are too few to determine a model.
     """
-    question = identifying.IdentificationSpec(output=output, inputs=tuple(inputs), **options)
-    names = [output, *question.inputs]
+    names = (output, *(map(str.strip, inputs.split(",")) if isinstance(inputs, str) else inputs))
+    question = identifying.IdentificationSpec(output=output, inputs=names[1:], **options)
     if isinstance(data, SignalData):
         return identifying.identify(data, question)
     if isinstance(data, str | Path) and is_table(Path(data)):

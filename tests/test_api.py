@@ -125,6 +125,17 @@ def test_results_are_tables_in_a_notebook(drive: CoveragePlan, run: Run) -> None
     assert "<b>" not in named._repr_html_() and "&lt;b&gt;mine" in named._repr_html_()
 
 
+def test_inputs_of_identify_may_be_one_text(run: Run) -> None:
+    one = sg.identify(run, output="omega", inputs="cmd_omega, cmd_v", lags=1)
+    other = sg.identify(run, output="omega", inputs=["cmd_omega", "cmd_v"], lags=1)
+    assert one.model.equation() == other.model.equation()
+
+
+def test_a_parameter_that_an_effect_lacks_is_refused() -> None:
+    with pytest.raises(sg.errors.SensorgraphError, match="range_bias has no parameter `a`; expected b"):
+        sg.EFFECTS["range_bias"](a=0.1)
+
+
 def test_a_trajectory_without_an_arena_is_refused(drive: CoveragePlan) -> None:
     with pytest.raises(sg.errors.SensorgraphError, match="give the arena to drive in"):
         sg.record(drive.trajectory)

@@ -22,6 +22,7 @@ from sensorgraph.effects.interfaces import (
 )
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.set_up import SetUp
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats, Ints
 
 Channel = Literal["scan", "odometry", "drive"]
@@ -160,7 +161,19 @@ class Effect:
         return f"Effect({self.name}: {self.physics})"
 
     def __call__(self, **values: float) -> Amendment:
-        """Return the effect with these parameter values; `.at` sets its location."""
+        """Return the effect with these parameter values; `.at` sets its location.
+
+        Raises
+        ------
+        SensorgraphError
+            The effect has no parameter of this name.
+        """
+        known = [parameter.name for parameter in self.parameters]
+        wrong = next((name for name in values if name not in known), None)
+        if wrong is not None:
+            raise SensorgraphError(
+                f"{self.name} has no parameter `{wrong}`; expected {', '.join(known) or 'none'}"
+            )
         return Amendment(effect=self, parameters=values)
 
     def parameter(self, name: str) -> Parameter:
