@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from planners.array_kernels import make_heap, pop_least
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inlined_kernel, inner_kernel, kernel
 from sensorgraph.models.faces.hit_moments import HIT_CELL, HitMoments
 from sensorgraph.models.faces.settings import FACES, LineLimits
 from sensorgraph.types import Floats, Ints
@@ -231,24 +231,43 @@ def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -
     return angle
 
 
+@inlined_kernel
+def _is_on_line(i: Any, nx: Any, ny: Any, d: Any, width: Any, mean: Any, moments: Any, angle: Any) -> Any:
+    """Return whether cell i lies within `width` [m] of a line, and its hits and its normal face the same way."""
+    if abs(nx * mean[i, 0] + ny * mean[i, 1] - d) > width:
+        return False
+    if nx * moments[i, 6] + ny * moments[i, 7] > -MIN_FACING * moments[i, 0]:
+        return False
+    if angle[i] < 0:
+        return True
+    turn = abs(angle[i] - np.arctan2(ny, nx) / (2 * np.pi) * N_ANGLES) % N_ANGLES
+    return min(turn, N_ANGLES - turn) <= MAX_TURN_BINS
+
+
+@inner_kernel
+def _moments_of(members: Any, mean: Any, moments: Any) -> Any:
+    """Return the number of hits of some cells, their mean x and y [m], and their covariance xx, xy, yy [m²]."""
+    m0, mx, my, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    x0, y0 = mean[members[0], 0], mean[members[0], 1]
+    for i in members:
+        w = moments[i, 0]
+        x, y = mean[i, 0] - x0, mean[i, 1] - y0
+        m0 += w
+        mx += w * x
+        my += w * y
+        xx += w * x * x + (moments[i, 3] - moments[i, 1] ** 2 / w)
+        xy += w * x * y + (moments[i, 4] - moments[i, 1] * moments[i, 2] / w)
+        yy += w * y * y + (moments[i, 5] - moments[i, 2] ** 2 / w)
+    cx, cy = mx / m0, my / m0
+    return m0, cx + x0, cy + y0, xx / m0 - cx * cx, xy / m0 - cx * cy, yy / m0 - cy * cy
+
+
 @kernel
 def _fit_run(
-    c: Any,
-    s: Any,
-    d: Any,
-    mean: Any,
-    moments: Any,
-    live: Any,
-    angle: Any,
-    band: Any,
-    gap: Any,
-    min_length: Any,
+    c: Any, s: Any, d: Any, mean: Any, moments: Any, live: Any, angle: Any, band: Any, gap: Any, min_length: Any,
     min_hits: Any,
-) -> Any:
-    """Fit the line near (c, s, d) to its strongest run of live cells; return no members if there is no such run.
-
-    The function is one loop for speed: it runs for every candidate line and reuses its buffers between the rounds.
-    """
+) -> Any:  # fmt: skip
+    """Fit the line near (c, s, d) to its strongest run of live cells; return no members if there is no such run."""
     nx, ny = c, s
     none = np.empty(0, np.int64)
     line = np.zeros(5)
@@ -259,14 +278,8 @@ def _fit_run(
         width = max(band, FIRST_BAND) if step == 0 else band
         n = 0
         for i in range(n_cells):
-            if not live[i] or abs(nx * mean[i, 0] + ny * mean[i, 1] - d) > width:
+            if not live[i] or not _is_on_line(i, nx, ny, d, width, mean, moments, angle):
                 continue
-            if nx * moments[i, 6] + ny * moments[i, 7] > -MIN_FACING * moments[i, 0]:
-                continue
-            if angle[i] >= 0:
-                turn = abs(angle[i] - np.arctan2(ny, nx) / (2 * np.pi) * N_ANGLES) % N_ANGLES
-                if min(turn, N_ANGLES - turn) > MAX_TURN_BINS:
-                    continue
             t = -ny * mean[i, 0] + nx * mean[i, 1]
             if t < low - gap or t > high + gap:
                 continue
@@ -293,26 +306,9 @@ def _fit_run(
                 first, last, most = start, k, total
         members = members[first : last + 1]
         low, high = t[first], t[last]
-        m0, mx, my, xx, xy, yy, ux, uy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        x0, y0 = mean[members[0], 0], mean[members[0], 1]
-        for i in members:
-            w = moments[i, 0]
-            x, y = mean[i, 0] - x0, mean[i, 1] - y0
-            vxx = moments[i, 3] - moments[i, 1] ** 2 / w
-            vxy = moments[i, 4] - moments[i, 1] * moments[i, 2] / w
-            vyy = moments[i, 5] - moments[i, 2] ** 2 / w
-            m0 += w
-            mx += w * x
-            my += w * y
-            xx += w * x * x + vxx
-            xy += w * x * y + vxy
-            yy += w * y * y + vyy
-            ux += moments[i, 6]
-            uy += moments[i, 7]
+        m0, x, y, xx, xy, yy = _moments_of(members, mean, moments)
         if m0 < min_hits or high - low + HIT_CELL < min_length:
             return line, none
-        cx, cy = mx / m0, my / m0
-        xx, xy, yy = xx / m0 - cx * cx, xy / m0 - cx * cy, yy / m0 - cy * cy
         if high - low > 2 * band or step == REFITS - 1:
             along = 0.5 * np.arctan2(2 * xy, xx - yy)
             ax, ay = -np.sin(along), np.cos(along)
@@ -320,7 +316,7 @@ def _fit_run(
                 ax, ay = -ax, -ay
             if ax * nx + ay * ny > MIN_AGREEMENT:
                 nx, ny = ax, ay
-        d = nx * (cx + x0) + ny * (cy + y0)
+        d = nx * x + ny * y
         low = high = -ny * mean[members[0], 0] + nx * mean[members[0], 1]
         for i in members:
             t_i = -ny * mean[i, 0] + nx * mean[i, 1]
