@@ -23,7 +23,7 @@ from planners.search.kernel_goals import cell_distances
 from planners.search.motion_primitives import spin_primitives
 from planners.search.search import CoverageSearch
 from planners.search.settings import SPIN_ROOM
-from planners.search.workspace import Workspace, beam_settings, workspace_for
+from planners.search.workspace import Workspace
 from planners.vehicle import Limits
 from sensorgraph.localization.smoothing import smooth
 from sensorgraph.show.figures.style import ALARM, AMBER, INK, SOFT, TEAL, new_figure, save_figure
@@ -48,13 +48,13 @@ def beam() -> Any:
     primitives = spin_primitives(Limits(), HEADINGS, RATE)
     search = CoverageSearch(search_area(free), primitives, need, RATE, settings=SPIN_ROOM)
     search.start_at(np.array([0.625, 0.625, 0.0, 0.0]))
-    settings, arrays = beam_settings(SPIN_ROOM, primitives), search.primitive_arrays()
-    workspace = workspace_for(settings, arrays, need.shape[:2])
+    tables = search._tables()
+    settings, workspace = tables.settings, tables.workspace
     left = int(need.sum())
     for _ in range(DECISIONS):
-        _, left = search._decide(left, settings, arrays, None, workspace)  # type: ignore[arg-type]
+        _, left = search._decide(left, tables, None)  # type: ignore[arg-type]
     cell_distances(search.world, workspace.far, workspace.cell_queue)
-    n, n_new = beam_search(search.state, settings, search.world, arrays, workspace)
+    n, n_new = beam_search(search.state, tables)
     chosen = _chosen(workspace, n)
 
     figure = new_figure(9.6, 4.3)
