@@ -101,6 +101,7 @@ def test_place_that_looks_the_same_twice_is_ambiguous_and_names_the_rival() -> N
     still = np.tile([1.0, 1.5, 0.3], (6, 1))
     found = locate_in_map(room_run(still, walls=[tuple(w) for w in square]), square.reshape(-1, 2, 2))
     assert set(found.status) == {"ambiguous"}
+    assert any("most scans are not located: at best, a short drive fits" in note for note in found.notes)
     rivals = next(iter(found.rivals.values()))
     assert len(rivals) == 4
     assert np.hypot(*(rivals[:, :2] - still[0, :2]).T).min() < 0.02

@@ -74,6 +74,9 @@ def locate_in_map(
     covariances = covariances + _map_error(matches, steps.noise, settings)
     status = _status(run.stamps, matches.information, found, settings)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
+    if 2 * sum(word == "ok" for word in status) < run.n_scans:
+        text = f"most scans are not located: at best, a short drive fits {name} to {fit:.0%}, as parts of another building may"
+        notes = (*notes, text)
     wheels = WheelSteps.of(odometry, steps, run.stamps).parameters(poses[steps.key_frames])
     contrast = contrast_notes(run, poses, odometry, status, wheels)
     return Localization(
