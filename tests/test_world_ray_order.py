@@ -21,7 +21,6 @@ from sensorgraph.cli import run as command
 from sensorgraph.diagnosis.scan.depth_edges import find_edges
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.effects import mixed_pixels, sector_bias, self_occlusion, tilt
-from sensorgraph.effects.min_range import spread
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.graph import Sensorgraph
@@ -161,12 +160,6 @@ def test_commands_say_the_numbering_in_one_line(tmp_path: Path, capsys: pytest.C
     assert command(["evaluate", graph, log]) == 0
     line = f"{log}: ray 0 points to 0°, that of {graph} to -180°: the same rays modulo 360°; each log keeps its ray"
     assert capsys.readouterr().out.count(line) == 1
-
-
-def test_near_returns_astride_the_seam_come_from_one_bearing() -> None:
-    assert spread(np.radians([0.0, 1.0, 358.0, 359.0])) == pytest.approx(np.radians(3.0))
-    assert spread(np.radians([-90.0, 90.0])) == pytest.approx(np.pi)
-    assert spread(np.radians([15.0])) == 0.0
 
 
 def residuals(first: float) -> Any:
