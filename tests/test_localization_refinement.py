@@ -48,8 +48,10 @@ def test_prior_pulls_wheel_parameters_back_to_wheels_without_error() -> None:
     np.testing.assert_allclose(steps.at(moved).pull, off / sd**2)
 
 
-def test_last_step_beyond_what_is_linear_is_shortened(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scans that hardly determine a heading gave a step of 1123 m and 502 rad."""
+def test_last_step_beyond_what_is_linear_is_shortened_and_is_part_of_the_errors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Scans that hardly determine a heading gave a step of 1123 m and 502 rad; others had not converged, and were stated as sure."""
     run = room_run(loop_poses(80, laps=1))
     calls: list[int] = []
 
@@ -67,3 +69,6 @@ def test_last_step_beyond_what_is_linear_is_shortened(monkeypatch: pytest.Monkey
     odd = map_run(run)
     assert len(calls) == bad > 0
     np.testing.assert_allclose(odd.poses, usual.poses, atol=0.6)
+    stated, before = (np.sqrt(np.einsum("nii->ni", found.covariances)) for found in (odd, usual))
+    assert np.median(stated[:, 2]) > 10 * np.median(before[:, 2])
+    assert (np.abs(odd.poses - usual.poses) < 3 * stated + 0.05).mean() > 0.9

@@ -12,7 +12,7 @@ and Miller 2008); the noise need not be known. The leverage h_c corrects for res
 the wheel edges is multiplied by its long-run variance, since slip persists (Newey and West 1987).
 
 Poses are relative to the mean of all key frames of their map (inner constraints, Baarda 1973), since the frame of a
-map is arbitrary. The samples of the wheel parameters are those that the poses x_m imply.
+map is arbitrary. Where the refinement has not converged, its last step is an error, too. The samples of the wheel parameters are those that the poses x_m imply.
 """
 
 from __future__ import annotations
@@ -56,17 +56,19 @@ def key_frame_covariances(
         system, draws, refined.preconditioner, settings.tolerance, settings.max_steps
     )
     parameters = system.wheel_inverse @ (wheel_draws - system.wheel_coupling.T @ samples)
-    deviations = samples.reshape(n, 3, -1)
+    deviations = np.concatenate([samples.reshape(n, 3, -1), refined.last_step[:, :, None]], axis=2)
     seen = system.projections
     for number in np.unique(maps):
         own = maps == number
         counted = None if seen is None else seen[own]
         deviations[own] = without_rigid_motion(deviations[own], refined.poses[own], counted)
-    covariances = np.einsum("fim,fjm->fij", deviations, deviations) / settings.samples
+    drawn, step = deviations[:, :, :-1], deviations[:, :, -1]
+    unsettled = np.einsum("fi,fj->fij", step, step)
+    covariances = np.einsum("fim,fjm->fij", drawn, drawn) / settings.samples
     alone = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
     values, vectors = np.linalg.eigh(covariances - alone)
     shared = np.einsum("fij,fj,fkj->fik", vectors, np.maximum(values, 0.0), vectors)
-    return covariances, shared, parameters @ parameters.T / settings.samples
+    return covariances + unsettled, shared + unsettled, parameters @ parameters.T / settings.samples
 
 
 def _diagonal(system: ReducedSystem) -> Floats:

@@ -213,6 +213,8 @@ class Refined:
 
     poses: Floats
     """(n_key, 3) [m, m, rad]"""
+    last_step: Floats
+    """(n_key, 3) [m, m, rad] The last step: how far the poses are from having converged."""
     system: ReducedSystem
     """Linearised problem at these poses."""
     preconditioner: sparse.csc_array
@@ -235,7 +237,7 @@ def refine(
         again.
     graph : Steps of the track and closures of the pose graph; only the preconditioner depends on them.
     """
-    poses = poses.copy()
+    poses, taken = poses.copy(), np.zeros_like(poses)
     last = settings.iterations - 1
     for iteration in range(settings.iterations + 1):
         share = min(iteration / max(last - 2, 1), 1.0)
@@ -249,11 +251,12 @@ def refine(
         step, _ = conjugate_gradients(
             system, -system.gradient[:, None], preconditioner, settings.tolerance, settings.max_steps
         )
-        moved = step.reshape(-1, 3)
-        poses = poses + moved * min(1.0, MAX_TURN / max(float(np.abs(moved[:, 2]).max()), 1e-9))
+        taken = step.reshape(-1, 3)
+        taken = taken * min(1.0, MAX_TURN / max(float(np.abs(taken[:, 2]).max()), 1e-9))
+        poses = poses + taken
         poses[:, 2] = wrap(poses[:, 2])
         progress(iteration + 1, settings.iterations + 1)
-    return Refined(poses=poses, system=system, preconditioner=preconditioner, frames=frames)
+    return Refined(poses=poses, last_step=taken, system=system, preconditioner=preconditioner, frames=frames)
 
 
 def pose_graph_matrix(
