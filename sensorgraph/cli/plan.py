@@ -175,9 +175,10 @@ def plan(
     opened = cache(Sensorgraph.load)  # arena, --graph and --priority are often the same file
     driven = _located(runs, resume or [], place, poses, opened)
     counted = "bins" if planner == "coverage" and views is None else "stops"
+    kept = _robot_in(runs)
     with progress_with_status("planning", counted) as (tick, set_status):
         made = make_plan(
-            _arena_in(place, opened), robot or _robot_in(runs), planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
+            _arena_in(place, opened), robot or kept, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
             start=None if start is None else parse_pose(start),
             end=None if end is None else parse_pose(end, "--end"),
             no_go=[zone for given in no_go or [] for zone in zones(given)],
@@ -194,7 +195,7 @@ def plan(
         report["arena"] = Path(place).name
     made.save(out)
     print_log_notes(*runs)
-    notes = [*made.arena.notes, *_robot_note(report, robot, _robot_in(runs))]
+    notes = [*made.arena.notes, *_robot_note(report, robot, kept)]
     _print(report["warnings"], [*notes, _summary(report), *_runs(report), f"wrote {out}"])
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
