@@ -108,7 +108,7 @@ def test_places_determine_the_motion_where_the_track_was_found_elsewhere() -> No
     )  # fmt: skip
     placed = _PlacedScans(
         poses=truth, shared=np.zeros((n, 3, 3)), own=np.tile(0.004**2 * np.eye(3), (n, 1, 1)), matched=np.arange(n) > 2,
-        surfaces=line_map(np.zeros((1, 2)), np.array([[1.0, 0.0]]), side=0.5), missed=np.zeros(n, dtype=bool), wheels=np.zeros((3, 3)),
+        surfaces=line_map(np.zeros((1, 2)), np.array([[1.0, 0.0]]), side=0.5), missed=np.zeros(n, dtype=bool), wheels=np.zeros(3),
     )  # fmt: skip
     found = _smoothed(track, placed, has_odometry=True)
     assert np.hypot(*(found.poses - truth)[:, :2].T).max() < 0.002

@@ -12,7 +12,8 @@ and Miller 2008); the noise need not be known. The leverage h_c corrects for res
 the wheel edges is multiplied by its long-run variance, since slip persists (Newey and West 1987).
 
 Poses are relative to the mean of all key frames of their map (inner constraints, Baarda 1973), since the frame of a
-map is arbitrary. Where the refinement has not converged, its last step is an error, too. The samples of the wheel parameters are those that the poses x_m imply.
+map is arbitrary. Where the refinement has not converged, its last step is an error, too. The samples of the wheel
+parameters are those that the poses x_m imply.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ MAX_LEVERAGE = 0.8
 def key_frame_covariances(
     refined: Refined, maps: Ints, rng: np.random.Generator, settings: RefinementSettings = REFINEMENT
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the covariances of the key frames and of the wheel parameters.
+    """Return the covariances of the key frames and the standard deviations of the wheel parameters.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def key_frame_covariances(
     -------
     covariances : (n_key, 3, 3) Of x, y, phi in map.
     shared : (n_key, 3, 3) Their part that is not the frame's own noise.
-    wheels : (3, 3) Of distance scale, turn scale and heading bias.
+    wheels : (3,) Standard deviations of distance scale, turn scale and heading bias.
     """
     system = refined.system
     n = system.n_frames
@@ -68,7 +69,7 @@ def key_frame_covariances(
     alone = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
     values, vectors = np.linalg.eigh(covariances - alone)
     shared = np.einsum("fij,fj,fkj->fik", vectors, np.maximum(values, 0.0), vectors)
-    return covariances + unsettled, shared + unsettled, parameters @ parameters.T / settings.samples
+    return covariances + unsettled, shared + unsettled, np.sqrt(np.square(parameters).mean(axis=1))
 
 
 def _diagonal(system: ReducedSystem) -> Floats:

@@ -51,7 +51,7 @@ class _PlacedScans:
     missed: Bools
     """(n_scans,) The scan fits the map, but tracking missed it: the odometry before or after it slips."""
     wheels: Floats
-    """(3, 3) Covariance of distance scale, turn scale and heading bias."""
+    """(3,) Standard deviations of distance scale, turn scale and heading bias."""
 
 
 def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) -> Localization:
@@ -92,7 +92,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     if not placed.matched.all():
         placed = _placed_again(scans, tracked, placed, smoothed)
         smoothed = _smoothed(tracked, placed, has_odometry=has_odometry)
-    wheels = steps.parameters(refined.poses, np.sqrt(np.diag(placed.wheels)))
+    wheels = steps.parameters(refined.poses, placed.wheels)
     reckoned = with_dead_reckoning(placed.shared, tracked, refined, wheels)
     placed = replace(placed, shared=reckoned)
     verdict = verdict_on(run, scans, smoothed.poses, odometry, wheels)

@@ -31,6 +31,8 @@ from sensorgraph.diagnosis.scan.unnamed.columns import (
     Words,
     find_columns,
     inverted,
+    systems_of_parts,
+    with_priors,
 )
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects import Amendment
@@ -113,9 +115,9 @@ def jumps(fitted: Fitted) -> list[JumpColumns]:
     if data.n_scans < MIN_SCANS * N_PARTS:
         return []
     weight = fitted.solution.responsibilities.weight
-    rows = np.array_split(np.arange(data.n_scans), N_PARTS)
-    parts = [solver.of_scans(some).assemble(weight[some], fitted.state.pose_scale) for some in rows]
-    inverse = inverted(np.sum([part.matrix for part in parts], axis=0), solver, fitted.solution)
+    rows, parts = systems_of_parts(solver, weight, fitted.state.pose_scale)
+    whole = np.sum([part.matrix for part in parts], axis=0)
+    inverse = inverted(*with_priors(whole, solver, fitted.solution))
     tested, out = _parameters(fitted), list[JumpColumns]()
     for one in tested:
         found = _likeliest(parts, inverse, one, np.concatenate([fitted.state.g, fitted.solution.p]))

@@ -24,11 +24,11 @@ from sensorgraph.diagnosis.result import Profile
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.gauss_newton import Solution, Solver, iterate
-from sensorgraph.diagnosis.scan.normal_equations import with_prior
+from sensorgraph.diagnosis.scan.normal_equations import System, with_prior
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt
 from sensorgraph.robust import rms
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Bools, Floats, Ints
 
 N_PARTS = 16
 """Number of parts of the run whose scatter gives the standard error."""
@@ -181,7 +181,7 @@ def _screened(fitted: Fitted, columns: Sequence[Columns]) -> list[tuple[Columns,
         system = solver.assemble(weight, fitted.state.pose_scale)
         x = np.concatenate([fitted.state.g, fitted.solution.p, np.zeros(k)])
         score = (system.right - system.matrix @ x)[-k:]
-        inverse = inverted(system.matrix, solver, fitted.solution)
+        inverse = inverted(*with_priors(system.matrix, solver, fitted.solution))
         out.append((one, 0.5 * float(score @ inverse[-k:, -k:] @ score)))
     return out
 
@@ -204,13 +204,11 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     start = np.concatenate([fitted.solution.p, np.zeros(k)])
     solution = iterate(solver, state, start, bounds, rounds=SCAN.fit.column_rounds, noise_free=True)
     weight, scale = solution.responsibilities.weight, solution.state.pose_scale
-    parts = np.array_split(np.arange(solver.data.n_scans), N_PARTS)
-    systems = [solver.of_scans(some).assemble(weight[some], scale) for some in parts]
+    _, systems = systems_of_parts(solver, weight, scale)
     x = np.concatenate([solution.state.g, solution.p])
     scores = np.array([system.right - system.matrix @ x for system in systems])
-    whole = np.sum([system.matrix for system in systems], axis=0)
-    inverse = inverted(whole, solver, solution)
-    information = _information(whole, solver, solution, k)
+    total, free = with_priors(np.sum([system.matrix for system in systems], axis=0), solver, solution)
+    inverse, information = inverted(total, free), _information(total, free, k)
     each = (scores - scores.mean(axis=0)) @ inverse[:, -k:]  # change that each part would cause
     used, values = used_readings(fitted), solution.p[-k:]
     if one.is_contrast:
@@ -230,26 +228,31 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     )
 
 
-def inverted(matrix: Floats, solver: Solver, solution: Solution) -> Floats:
-    """Return the inverse (m, m) of normal equations with their priors; 0 for unknowns that are held or at a bound."""
-    total, free = _free(matrix, solver, solution)
-    inverse = np.zeros(total.shape)
-    inverse[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
-    return inverse
+def systems_of_parts(solver: Solver, weight: Floats, pose_scale: float) -> tuple[list[Ints], list[System]]:
+    """Return the scans of each of `N_PARTS` parts of the run, and their normal equations for weights (n_scans, n_rays) [1/m²]."""
+    parts = np.array_split(np.arange(solver.data.n_scans), N_PARTS)
+    return parts, [solver.of_scans(some).assemble(weight[some], pose_scale) for some in parts]
 
 
-def _information(matrix: Floats, solver: Solver, solution: Solution, k: int) -> Floats:
-    """Return the information (k, k) on the last k unknowns, which exists even if another unknown is collinear with them."""
-    total, free = _free(matrix, solver, solution)
-    free[-k:] = False
-    across = total[free][:, -k:]
-    return np.asarray(total[-k:, -k:] - across.T @ np.linalg.solve(total[np.ix_(free, free)], across))
-
-
-def _free(matrix: Floats, solver: Solver, solution: Solution) -> tuple[Floats, Bools]:
+def with_priors(matrix: Floats, solver: Solver, solution: Solution) -> tuple[Floats, Bools]:
     """Return normal equations (m, m) with their priors, and which unknowns (m,) are neither held nor at a bound."""
     tau, g = solver.scaled(solution.state), solution.state.g
     total = with_prior(matrix, tau)
     at_bound = np.abs(g) > (1 - 1e-3) * SCAN.nuisance.max_tolerances * tau
     free = np.concatenate([~(solver.locked | at_bound), np.ones(len(total) - len(tau), dtype=np.bool_)])
     return total, free
+
+
+def inverted(total: Floats, free: Bools) -> Floats:
+    """Return the inverse (m, m) of normal equations, as `with_priors` returns them; 0 for unknowns that are not free."""
+    inverse = np.zeros(total.shape)
+    inverse[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
+    return inverse
+
+
+def _information(total: Floats, free: Bools, k: int) -> Floats:
+    """Return the information (k, k) on the last k unknowns, which exists even if another unknown is collinear with them."""
+    others = free.copy()
+    others[-k:] = False
+    across = total[others][:, -k:]
+    return np.asarray(total[-k:, -k:] - across.T @ np.linalg.solve(total[np.ix_(others, others)], across))
