@@ -174,8 +174,7 @@ def plan(
     place = _place(arena, resume or [], runs, graph or priority)
     opened = cache(Sensorgraph.load)  # arena, --graph and --priority are often the same file
     driven = _located(runs, resume or [], place, poses, opened)
-    counted = "bins" if planner == "coverage" and views is None else "stops"
-    kept = _robot_in(runs)
+    counted, kept = "bins" if planner == "coverage" and views is None else "stops", _robot_in(runs)
     with progress_with_status("planning", counted) as (tick, set_status):
         made = make_plan(
             _arena_in(place, opened), robot or kept, planner=planner, cell=cell, headings=headings, views=views, duration=duration, order=order,
@@ -195,8 +194,8 @@ def plan(
         report["arena"] = Path(place).name
     made.save(out)
     print_log_notes(*runs)
-    notes = [*made.arena.notes, *_robot_note(report, robot, kept)]
-    _print(report["warnings"], [*notes, _summary(report), *_runs(report), f"wrote {out}"])
+    notes = *made.arena.notes, *_robot_note(report, robot, kept), _summary(report), *_runs(report)
+    _print(report["warnings"], [*notes, f"wrote {out}"])
     if report.get("interrupted"):
         raise typer.Exit(INTERRUPTED)
 
