@@ -94,6 +94,24 @@ def test_scans_fill_gaps_within_the_odometry(keep: Bools, said: str) -> None:
     np.testing.assert_allclose(filled.at(run.odom_stamps), motion.at(run.odom_stamps), atol=1e-6)
 
 
+def test_the_sweep_before_a_pause_of_the_recording_has_the_motion_before_it() -> None:
+    """A bag that was paused for an hour: the last sweep ends in the gap, and turns on there, not slowly for an hour."""
+    fine = np.arange(0.0, 10.0, 0.02)
+    spin = np.column_stack([0 * fine, 0 * fine, -1.2 * fine])
+    stamps, pause = np.arange(0.05, 9.8, 0.1), 3600.0
+    late = np.where(fine > 5.1, pause, 0.0)
+    run = replace(
+        RUN, stamps=stamps + np.where(stamps > 5.1, pause, 0.0), ranges=np.ones((len(stamps), RUN.sensor.n_rays)),
+        odom_stamps=fine + late, odometry=spin, odom_twists=np.full((len(spin), 2), np.nan),
+    )  # fmt: skip
+    filled, notes = with_missing_stretches(run, Motion(stamps=fine + late, poses=spin))
+    assert notes == ()
+    times = 5.05 + np.linspace(0.0, 0.1, 11)  # of the rays of the last sweep before the pause
+    np.testing.assert_allclose(filled.at(times)[:, 2], -1.2 * times, atol=0.002)
+    times = 5.15 + pause - np.linspace(0.0, 0.1, 11)  # and of the first one after it, stamped at its end
+    np.testing.assert_allclose(filled.at(times)[:, 2], -1.2 * (times - pause), atol=0.002)
+
+
 def test_whole_odometry_is_unchanged() -> None:
     motion = odometry_of(RUN)
     assert motion is not None

@@ -1,4 +1,8 @@
-"""Stretches without odometry, before, within or after it: a track of the scans alone fills them."""
+"""Stretches without odometry, before, within or after it: a track of the scans alone fills them.
+
+Where no scans can fill a stretch of length T, the robot goes on at both ends as it did before, for one sweep t. Under an
+acceleration a, a velocity measured over the time tau then errs by a t (t + tau) / 2, and interpolation by a t (T - t) / 2.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +27,7 @@ def with_missing_stretches(run: Run, motion: Motion) -> tuple[Motion, tuple[str,
     """Return the odometry with the motion of the scans alone where it has no poses, and notes.
 
     Where odometry stands at both ends, the track is fitted to both: its error there is spread evenly over the time.
-    A stretch whose scans cannot be followed stays as it is.
+    In a stretch whose scans cannot be followed, the motion goes on at both ends for one sweep.
     """
     bounds = np.concatenate([[-np.inf], motion.stamps, [np.inf]])
     begins = np.searchsorted(run.stamps, bounds[:-1], side="right")
@@ -41,18 +45,43 @@ def with_missing_stretches(run: Run, motion: Motion) -> tuple[Motion, tuple[str,
             stamps.append(found.stamps)
             poses.append(found.poses)
             filled.append((float(first), float(last)))
-    if not filled:
-        return motion, ()
-    order = np.argsort(np.concatenate(stamps), kind="stable")
-    joined = np.concatenate(poses)[order]
-    joined[:, 2] = np.unwrap(joined[:, 2])
-    return Motion(stamps=np.concatenate(stamps)[order], poses=joined), _notes(run, motion, filled)
+    joined = _in_order(stamps, poses) if filled else motion
+    return _with_sweeps_into_gaps(run, joined), _notes(run, motion, filled)
 
 
 def is_measured(motion: Motion, times: Floats) -> Bools:
     """Tell which times (n,) [s] lie between poses of the odometry (`motion`) without a missing stretch."""
     gaps = np.diff(motion.stamps, prepend=-np.inf, append=np.inf)
     return np.asarray(gaps[np.searchsorted(motion.stamps, times)] < MIN_MISSING)
+
+
+def _with_sweeps_into_gaps(run: Run, motion: Motion) -> Motion:
+    """Return the motion with poses inside either end of each long gap, at constant velocity.
+
+    The sweep of a scan reaches at most one scan period into the gap, and the interpolation one pose further.
+    """
+    if run.n_scans < 2 or len(motion.stamps) < 3:
+        return motion
+    period, gaps = float(np.median(np.diff(run.stamps))), np.diff(motion.stamps)
+    times, poses = [motion.stamps], [motion.poses]
+    for way, known in ((1, slice(0, -1)), (-1, slice(1, None))):
+        over = np.maximum(period, gaps[known])  # time over which the velocity is measured
+        gap = gaps[1:] if way == 1 else gaps[:-1]
+        at = np.flatnonzero((gap >= MIN_MISSING) & (gap > 4 * period + over))
+        ends, over = motion.stamps[at + 1], over[at]
+        step = compose(invert(motion.at(ends - way * over)), motion.at(ends))
+        for time in (period, 2 * period):
+            times.append(ends + way * time)
+            poses.append(compose(motion.at(ends), step * (time / over)[:, None]))
+    return _in_order(times, poses) if sum(map(len, times)) > len(motion.stamps) else motion
+
+
+def _in_order(stamps: list[Floats], poses: list[Floats]) -> Motion:
+    """Return the motion of parts in the order of their stamps."""
+    order = np.argsort(np.concatenate(stamps), kind="stable")
+    joined = np.concatenate(poses)[order]
+    joined[:, 2] = np.unwrap(joined[:, 2])
+    return Motion(stamps=np.concatenate(stamps)[order], poses=joined)
 
 
 def _with_sweeps(stamps: Floats, run: Run, bounds: tuple[float, float]) -> Floats:
