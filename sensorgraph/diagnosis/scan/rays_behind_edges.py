@@ -1,6 +1,6 @@
-"""Rays next to a step in depth of a map of fragments, and those behind them; compiled, because such a map has many.
+"""Rays next to a step in depth, and those behind them that meet the same wall; compiled, because a building has many.
 
-A surface may continue where a fragment ends. `depth_edges` describes the chance of a ray to pass an edge.
+`depth_edges` describes the chance of a ray to pass an edge.
 """
 
 from __future__ import annotations
