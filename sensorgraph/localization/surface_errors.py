@@ -28,7 +28,7 @@ from sensorgraph.localization.refinement import ReducedSystem, conjugate_gradien
 from sensorgraph.types import Floats, Ints
 
 TABLE = 1 << 16
-"""Number of independent normal numbers of a draw; cells that share one are far apart."""
+"""Number of independent normal numbers. Cells that share one are far apart, or of another draw."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,12 +59,12 @@ def _cells(
     middle: Floats, frame: Floats | Ints, length: float, frames: float, rng: np.random.Generator, n: int
 ) -> Floats:
     """Return normal numbers (n_clusters, n) that clusters in the same cell share."""
-    out = np.empty((len(middle), n))
+    out, table = np.empty((len(middle), n)), rng.normal(size=TABLE)
     for k in range(n):
-        origin = rng.uniform(size=3)
+        origin, key = rng.uniform(size=3), rng.integers(TABLE)
         x, y = np.floor(middle.T / length + origin[:2, None]).astype(np.int64)
         t = np.floor(frame / frames + origin[2]).astype(np.int64)
-        out[:, k] = rng.normal(size=TABLE)[(73856093 * x ^ 19349663 * y ^ 83492791 * t) & (TABLE - 1)]
+        out[:, k] = table[(key ^ 73856093 * x ^ 19349663 * y ^ 83492791 * t) & (TABLE - 1)]
     return out
 
 
