@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,12 @@ def wrap(angle: Floats) -> Floats:
 
 def compose(T_a_b: Floats, T_b_c: Floats) -> Floats:
     """Return T_a_c = T_a_b T_b_c of planar poses (..., 3) [m, m, rad]."""
+    if T_a_b.ndim == T_b_c.ndim == 1:  # ten times as fast as arrays of one element
+        (x, y, phi), (dx, dy, dphi) = T_a_b.tolist(), T_b_c.tolist()
+        c, s = _cos_sin(phi)
+        return np.array(
+            [x + c * dx - s * dy, y + s * dx + c * dy, math.pi - (math.pi - phi - dphi) % math.tau]
+        )
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])
     x = T_a_b[..., 0] + cos * T_b_c[..., 0] - sin * T_b_c[..., 1]
     y = T_a_b[..., 1] + sin * T_b_c[..., 0] + cos * T_b_c[..., 1]
@@ -29,10 +37,18 @@ def compose(T_a_b: Floats, T_b_c: Floats) -> Floats:
 
 def invert(T_a_b: Floats) -> Floats:
     """Return T_b_a = T_a_b⁻¹ of planar poses (..., 3) [m, m, rad]."""
+    if T_a_b.ndim == 1:
+        x, y, phi = T_a_b.tolist()
+        c, s = _cos_sin(phi)
+        return np.array([-c * x - s * y, s * x - c * y, math.pi - (math.pi + phi) % math.tau])
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])
     x = -cos * T_a_b[..., 0] - sin * T_a_b[..., 1]
     y = sin * T_a_b[..., 0] - cos * T_a_b[..., 1]
     return np.stack([x, y, wrap(-T_a_b[..., 2])], axis=-1)
+
+
+def _cos_sin(phi: float) -> tuple[float, float]:
+    return (math.cos(phi), math.sin(phi)) if math.isfinite(phi) else (math.nan, math.nan)
 
 
 def interpolate(at: Floats, stamps: Floats, poses: Floats) -> Floats:
