@@ -235,7 +235,13 @@ def warn_of_sweep(duration: float) -> None:
 @cache
 def _threads() -> ThreadPoolExecutor:
     """Return the threads of the likelihood; the kernels release the lock of the interpreter."""
-    return ThreadPoolExecutor(min(len(os.sched_getaffinity(0)), 8), thread_name_prefix="likelihood")
+    n = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )  # not on macOS
+    return ThreadPoolExecutor(min(n, 8), thread_name_prefix="likelihood")
+
+
+os.register_at_fork(after_in_child=_threads.cache_clear)  # a forked process has no thread of its parent
 
 
 def unknown_space(graph: Graph) -> UnknownSpace:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -379,6 +381,36 @@ def test_a_sweep_with_one_pose_warns_once(
         for _ in range(2):
             swept.log_likelihood(np.full(61, 1.0), np.array([[1.0, 1.0, 0.0]]))
     assert sum("pass a pose for each ray" in message for message in caplog.messages) == 1
+
+
+@pytest.mark.filterwarnings("ignore:This process.*multi-threaded:DeprecationWarning")
+def test_likelihood_in_a_forked_process(graphs: dict[str, Sensorgraph]) -> None:
+    """The threads of the parent do not exist there, so waiting for them would never end."""
+    graph, poses = graphs["faces"], somewhere(200, np.random.default_rng(1))
+    scan = graph.predict(poses[0]).median[0]
+    here = graph.log_likelihood(scan, poses)
+    receiver, sender = multiprocessing.Pipe(duplex=False)
+    child = multiprocessing.get_context("fork").Process(
+        target=lambda: sender.send(graph.log_likelihood(scan, poses))
+    )
+    child.start()
+    try:
+        assert receiver.poll(20.0), "the process did not answer"
+        np.testing.assert_array_equal(receiver.recv(), here)
+    finally:
+        child.kill()
+        child.join()
+
+
+def test_likelihood_where_the_system_knows_no_affinity(
+    graphs: dict[str, Sensorgraph], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph, poses = graphs["faces"], somewhere(200, np.random.default_rng(1))
+    scan = np.full(61, 1.0)
+    here = graph.log_likelihood(scan, poses)
+    sensor_model._threads.cache_clear()
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)  # as on macOS
+    np.testing.assert_array_equal(graph.log_likelihood(scan, poses), here)
 
 
 def test_a_prediction_is_one_line(graphs: dict[str, Sensorgraph]) -> None:
