@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from logs.arguments import check_scan, numbers_of
 from logs.html_table import html_table
 from logs.motion import motion_of
 from logs.occupancy_map import OccupancyMap as OccupancyMap
@@ -115,19 +116,31 @@ class Run:
 
         Raises
         ------
-        ValueError : The run has no finite reference pose.
+        ValueError : The times are no numbers, or the run has no finite reference pose.
         """
-
-        poses = motion_of(self).at(np.asarray(stamps, dtype=np.float64))
+        poses = motion_of(self).at(numbers_of(stamps, "stamps"))
         poses[..., 2] = np.pi - (np.pi - poses[..., 2]) % (2 * np.pi)
         return poses
 
     def ray_poses(self, scan: int) -> Floats:
-        """Return the pose (n_rays, 3) [m, m, rad] of `pose_frame` in map at the time of each ray of one scan."""
+        """Return the pose (n_rays, 3) [m, m, rad] of `pose_frame` in map at the time of each ray of one scan.
+
+        Raises
+        ------
+        ValueError : `scan` is not a whole number, or the run has no finite reference pose.
+        IndexError : The run has no such scan.
+        """
+        check_scan(scan, self.n_scans)
         return self.poses_at(self.stamps[scan] + np.broadcast_to(self.sensor.ray_delays, self.sensor.n_rays))
 
     def plot(self, scan: int | None = None) -> Any:
-        """Draw the path and the end points of all scans, or of one scan, in a figure of matplotlib."""
+        """Draw the path and the end points of all scans, or of one scan, in a figure of matplotlib.
+
+        Raises
+        ------
+        ValueError : `scan` is not a whole number.
+        IndexError : The run has no such scan.
+        """
         return run_figure(self, scan)
 
     def __repr__(self) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logs.arguments import check_scan
 from logs.motion import Recorded, motion_of, to_ray_starts
 from logs.transforms import compose
 from logs.types import Floats
@@ -25,12 +26,13 @@ def run_figure(run: Recorded, scan: int | None = None) -> Figure:
 
     Raises
     ------
+    ValueError : `scan` is not a whole number.
     IndexError : The run has no such scan.
     """
     from matplotlib.figure import Figure  # imported here, since it takes long
 
-    if scan is not None and not -len(run.stamps) <= scan < len(run.stamps):
-        raise IndexError(f"scan {scan} does not exist; this run has scans 0 to {len(run.stamps) - 1}")
+    if scan is not None:
+        check_scan(scan, len(run.stamps))
     figure = Figure(figsize=(6.4, 6.0), layout="constrained")
     axes = figure.subplots()
     has_poses = bool(np.isfinite(run.poses).all(axis=1).any())

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 import logs
 from logs.run import Run
 from planners.arena import Arena
 from planners.trajectory import Trajectory
+from sensorgraph.arguments import AtLeastOne, Count
 from sensorgraph.building import build as building
 from sensorgraph.diagnosis import diagnose as diagnosing
 from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
@@ -35,11 +36,11 @@ from sensorgraph.localization.locate import LocatedRun, located_run
 from sensorgraph.localization.locate import locate as locate_run
 from sensorgraph.models.base import Point, Prediction
 from sensorgraph.planning.plan import CoveragePlan, plan
-from sensorgraph.recording.drive_source import check_start, kept_plan, open_drive, start_of
-from sensorgraph.recording.record import Commands
+from sensorgraph.recording.drive_source import check_start, parts_of, start_of
 from sensorgraph.recording.record import record as record_drive
 from sensorgraph.show.review.contents import Review
 from sensorgraph.show.review.review import review as write_review
+from sensorgraph.types import RayChoice
 from sensorgraph.world.described import with_robot
 from sensorgraph.world.robot import Robot, default_robot, load_robot
 
@@ -91,7 +92,7 @@ def record(
     robot: RobotLike | None = None,
     *,
     effects: Sequence[Amendment] | Path | str = (),
-    seed: int = 0,
+    seed: Count = 0,
     path: Path | str | None = None,
 ) -> Run:
     """Drive a plan with the simulated robot and record the run.
@@ -108,7 +109,7 @@ def record(
     ------
     SensorgraphError : No arena is known, the drive starts in a wall, or the arena lacks the place of an effect.
     """
-    commands, plan_arena, plan_robot, attachments = _drive(drive)
+    commands, plan_arena, plan_robot, attachments = parts_of(drive)
     walls = plan_arena if arena is None else _arena(arena)
     if walls is None:
         raise SensorgraphError("a trajectory has no arena; give the arena to drive in")
@@ -141,12 +142,11 @@ def locate(
     SensorgraphError : There are too few scans, the sensor has wide cones, or the scans fit nowhere in the arena.
     """
     log = _run(run)
-    place = arena
+    place: Any = arena
     if isinstance(arena, str | Path):
         is_graph = str(arena).endswith(".sensorgraph") and Path(arena).exists()
         place = _graph(arena) if is_graph else _arena(arena)
     name = str(arena) if isinstance(arena, str | Path) else "the map"
-    assert place is None or isinstance(place, Arena | Sensorgraph)
     found = LocatedRun.of(log, locate_run(log, place, name=name))
     if path is not None:
         logs.write(located_run(log, found), path)
@@ -154,16 +154,18 @@ def locate(
 
 
 @as_sensorgraph_error
-@takes_options(building.option_names)
+@takes_options(building.option_types)
 def build(
-    runs: RunLike | Sequence[RunLike], *, arena: ArenaLike | None = None, **options: Any
-) -> Sensorgraph:
+    runs: RunLike | Sequence[RunLike], *, arena: ArenaLike | None = None, update: GraphLike | None = None,
+    **options: Any,
+) -> Sensorgraph:  # fmt: skip
     """Fit a sensorgraph to one or several runs of the same sensor.
 
     Parameters
     ----------
     arena : Arena whose bounds scale x and y, so that graphs of several runs have the same scale.
-    options : Options of `sensorgraph.building.build.build`: `model`, `split`, `calibrate`, `degree`, `update`, ...
+    update : Graph of faces or cells to which the runs are added; its own runs are not needed.
+    options : Options of `sensorgraph.building.build.build`: `model`, `split`, `calibrate`, `degree`, `memory`, ...
 
     Raises
     ------
@@ -171,7 +173,10 @@ def build(
     """
     several = [runs] if isinstance(runs, Run | Path | str) else list(runs)
     walls = None if arena is None else _arena(arena)
-    return building.build([_run(run) for run in several], arena=walls, **{"force": False, **options})
+    old = None if update is None else _graph(update)
+    return building.build(
+        [_run(run) for run in several], arena=walls, update=old, **{"force": False, **options}
+    )
 
 
 @as_sensorgraph_error
@@ -202,7 +207,7 @@ def evaluate(
 
 @as_sensorgraph_error
 def predict(
-    graph: GraphLike, poses: ArrayLike | Path, *, rays: Sequence[int] | None = None, point: Point = "mode"
+    graph: GraphLike, poses: ArrayLike | Path, *, rays: RayChoice = None, point: Point = "mode"
 ) -> Prediction:
     """Predict rays at given poses: arrays (n_poses, n_rays).
 
@@ -215,8 +220,8 @@ def predict(
     ------
     SensorgraphError : A pose is not finite, or is far from any arena.
     """
-    where = read_poses(Path(poses)) if isinstance(poses, str | Path) else np.asarray(poses, dtype=np.float64)
-    return _graph(graph).predict(np.atleast_2d(where), rays=rays, point=point)
+    where = read_poses(Path(poses)) if isinstance(poses, str | os.PathLike) else poses
+    return _graph(graph).predict(where, rays=rays, point=point)
 
 
 @as_sensorgraph_error
@@ -229,7 +234,7 @@ def diagnose(
     effects: Sequence[Amendment] | Path | str = (),
     commissioning: Sequence[RunLike] = (),
     simulation: RunLike | None = None,
-    seed: int = 0,
+    seed: Count = 0,
     force: bool = False,
 ) -> Diagnosis | DrivingDiagnosis:
     """Find the physical effects that explain why measurement and simulation differ.
@@ -280,10 +285,11 @@ def diagnose(
 
 
 @as_sensorgraph_error
-@takes_options(lambda: identifying.IdentificationSpec.__dataclass_fields__)
+@takes_options(partial(get_type_hints, identifying.IdentificationSpec, include_extras=True))
 def identify(
-    data: RunLike | SignalData, *, output: str, inputs: Sequence[str] = (), every: int = 1, **options: Any
-) -> identifying.IdentifiedSignal:
+    data: RunLike | SignalData, *, output: str, inputs: Sequence[str] | str = (), every: AtLeastOne = 1,
+    **options: Any,
+) -> identifying.IdentifiedSignal:  # fmt: skip
     """Identify one signal of a run or a table as a polynomial of other signals.
 
     Parameters
@@ -386,15 +392,3 @@ def _arena(arena: ArenaLike) -> Arena:
 
 def _robot(robot: RobotLike) -> Robot:
     return robot if isinstance(robot, Robot) else load_robot(robot)
-
-
-def _drive(
-    drive: CoveragePlan | Trajectory | Path | str,
-) -> tuple[Trajectory | Commands, Arena | None, Robot | None, dict[str, bytes]]:
-    """Return the trajectory or commands, their arena and robot if known, and the attachments of the run."""
-    if isinstance(drive, CoveragePlan):
-        return drive.trajectory, drive.arena, drive.robot, kept_plan(drive.to_dict())
-    if isinstance(drive, Trajectory):
-        return drive, None, None, {}
-    source = open_drive(Path(drive))
-    return source.way, source.arena(), source.robot(), source.attachments()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Iterable, Sequence
-from functools import wraps
-from typing import ClassVar, ParamSpec, TypeVar
+from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import cache, wraps
+from typing import Any, ClassVar, ParamSpec, TypeVar, get_type_hints
 
 from logs.errors import LogError
 from planners.errors import PlanError
 from robotmodic_ident.errors import IdentError
+from sensorgraph.arguments import fault_of
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -31,37 +32,67 @@ class SensorgraphError(ValueError):
         return text if len(text) <= most else f"{text[: most - 300]} ... {text[-290:]}"
 
 
-def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:
-    """Convert the errors of the other packages in a public function, and unknown options, into `SensorgraphError`.
+class SensorgraphFileError(OSError, SensorgraphError):
+    """A file or folder cannot be read or written. It is an `OSError`, too, with `errno`, `strerror` and `filename`."""
 
-    A function with `**options` needs `takes_options` too, which knows their names.
+    def __str__(self) -> str:
+        return file_fault(self)
+
+
+class MissingFileError(FileNotFoundError, SensorgraphFileError):
+    """A file or folder does not exist. It is a `FileNotFoundError`, too."""
+
+
+def file_fault(exc: OSError) -> str:
+    """Return what is wrong with a file, and what to do, in one line."""
+    if exc.filename is None:
+        return f"{exc.strerror}; the output cannot be written"
+    path = exc.filename2 or exc.filename
+    return f"{path}: {exc.strerror}; give a path that exists and can be read or written"
+
+
+def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:
+    """Convert errors of files and of the other packages in a public function into `SensorgraphError`.
+
+    Unknown options and arguments that the type hints exclude are refused before any work is done. A function with
+    `**options` needs `takes_options` too, which knows their names and types.
     """
     parameters = inspect.signature(function).parameters.values()
     known = (
         None if any(one.kind is one.VAR_KEYWORD for one in parameters) else [one.name for one in parameters]
     )
+    names = [one.name for one in parameters if one.kind is one.POSITIONAL_OR_KEYWORD]
+    hints = cache(lambda: get_type_hints(function, include_extras=True))
 
     @wraps(function)
     def raising(*args: P.args, **kwargs: P.kwargs) -> R:
         if known is not None:
             refuse_unknown_options(kwargs, known)
+        refuse_wrong_types({**dict(zip(names, args, strict=False)), **kwargs}, hints())
         try:
             return function(*args, **kwargs)
         except (PlanError, LogError, IdentError) as exc:
             raise SensorgraphError(str(exc)) from exc
+        except OSError as exc:
+            if isinstance(exc, SensorgraphError) or exc.errno is None:
+                raise
+            kind = MissingFileError if isinstance(exc, FileNotFoundError) else SensorgraphFileError
+            raise kind(exc.errno, exc.strerror, exc.filename, None, exc.filename2) from exc
 
     return raising
 
 
-def takes_options(names: Callable[[], Iterable[str]]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Refuse all `**options` of a function that are not among `names()`, before any work is done."""
+def takes_options(types: Callable[[], Mapping[str, Any]]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Refuse all `**options` of a function that are not among `types()` or have another type, before any work is done."""
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
         own = [one for one in inspect.signature(function).parameters if one != "options"]
 
         @wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-            refuse_unknown_options(kwargs, [*own, *names()])
+            hints = types()
+            refuse_unknown_options(kwargs, [*own, *hints])
+            refuse_wrong_types({name: kwargs[name] for name in kwargs if name not in own}, hints)
             return function(*args, **kwargs)
 
         return checked
@@ -69,7 +100,19 @@ def takes_options(names: Callable[[], Iterable[str]]) -> Callable[[Callable[P, R
     return decorated
 
 
-def refuse_unknown_options(given: Iterable[str], known: Sequence[str]) -> None:
+def refuse_wrong_types(given: Mapping[str, object], hints: Mapping[str, Any]) -> None:
+    """Refuse an argument that its type hint excludes.
+
+    Raises
+    ------
+    SensorgraphError : An argument has another type, or a number is too small.
+    """
+    fault = fault_of(given, hints)
+    if fault is not None:
+        raise SensorgraphError(fault)
+
+
+def refuse_unknown_options(given: Iterable[str], known: Collection[str]) -> None:
     """Refuse an option that is not known, and suggest the most similar one.
 
     Raises

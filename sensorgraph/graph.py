@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from logs.html_table import html_table
 from logs.motion import to_ray_starts
-from logs.run import PoseFrame, RangeSensor, rare_times
+from logs.run import PoseFrame, RangeSensor
 from logs.transforms import compose
+from sensorgraph.arguments import Count, NotNegative
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
-from sensorgraph.graph_file import FORMAT, SENSOR_FIELDS, VERSION, read_graph, sensor_arrays, write_members
-from sensorgraph.models.base import POINTS, Model, Point, Prediction
+from sensorgraph.graph_file import read_graph, write_graph
+from sensorgraph.models.base import Model, Point, Prediction
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.thin_rays import noise_of_poses
@@ -37,7 +38,7 @@ from sensorgraph.sensor_model import (
 )
 from sensorgraph.sensor_model_input import check_poses, check_readings, numbers_of, rays_of
 from sensorgraph.show.figures.model_figure import model_figure
-from sensorgraph.types import Floats, Progress
+from sensorgraph.types import Floats, Progress, RayChoice
 
 POSES_AT_A_TIME = 2048
 """Number of poses predicted together; it limits memory and sets the interval of progress reports."""
@@ -58,13 +59,8 @@ class Sensorgraph:
 
     @as_sensorgraph_error
     def predict(
-        self,
-        poses: ArrayLike,
-        *,
-        rays: Sequence[int] | NDArray[np.integer] | None = None,
-        point: Point = "mode",
-        progress: Progress | None = None,
-    ) -> Prediction:
+        self, poses: ArrayLike, *, rays: RayChoice = None, point: Point = "mode", progress: Progress | None = None
+    ) -> Prediction:  # fmt: skip
         """Predict what the sensor perceives.
 
         Parameters
@@ -81,32 +77,23 @@ class Sensorgraph:
 
         Raises
         ------
-        ValueError : The poses have another shape.
-        SensorgraphError : A pose is not finite or too far away, a ray or point value is unknown, or headings are in degrees
-            (above 100 rad, or above a turn where all are whole numbers).
+        SensorgraphError : The poses have another shape, one is not finite or too far away, a ray or point value is unknown,
+            or headings are in degrees (above 100 rad, or above a turn where all are whole numbers).
         """
         where, index = self._asked(poses, rays)
-        if point not in POINTS:
-            raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
         parts = []
         for first in range(0, max(len(where), 1), POSES_AT_A_TIME):
             if progress is not None:
                 progress(first, len(where))
             parts.append(self._predict_some(where[first : first + POSES_AT_A_TIME], index, point))
         found = parts[0] if len(parts) == 1 else Prediction.concatenate(parts)
-        return replace(found, rays=GraphRays(graph=self, poses=where, rays=index))
+        return replace(found, rays=GraphRays(graph=self, poses=where.copy(), rays=index))
 
     @as_sensorgraph_error
     def log_likelihood(
-        self,
-        ranges: ArrayLike,
-        poses: ArrayLike,
-        *,
-        rays: Sequence[int] | NDArray[np.integer] | None = None,
-        correlated: bool = True,
-        per_ray: bool = False,
-        unanswered: Unanswered = "broad",
-    ) -> Floats:
+        self, ranges: ArrayLike, poses: ArrayLike, *, rays: RayChoice = None, correlated: bool = True,
+        per_ray: bool = False, unanswered: Unanswered = "broad",
+    ) -> Floats:  # fmt: skip
         """Return the log-likelihood of readings at poses: log p(ranges | pose), as a particle filter needs it.
 
         A return has a density [1/m]. No return (+inf or beyond range_max), too close (-inf or below range_min) and a
@@ -139,7 +126,7 @@ class Sensorgraph:
 
     @as_sensorgraph_error
     def near(
-        self, ranges: ArrayLike, poses: ArrayLike, *, rays: Sequence[int] | NDArray[np.integer] | None = None,
+        self, ranges: ArrayLike, poses: ArrayLike, *, rays: RayChoice = None,
         correlated: bool = True, unanswered: Unanswered = "broad",
     ) -> NearbyLikelihood:  # fmt: skip
         """Tabulate `log_likelihood` of one scan (n_rays,) [m] around poses near each other, as the particles of a filter.
@@ -149,9 +136,11 @@ class Sensorgraph:
 
         Raises
         ------
-        SensorgraphError : As for `log_likelihood`, or the rays start at several points.
+        SensorgraphError : As for `log_likelihood`, or there is no pose, or the rays start at several points.
         """
         where, index = self._asked(poses, rays)
+        if len(where) == 0:
+            raise SensorgraphError("poses is empty; expected the poses around which the tables are made")
         readings = check_readings(ranges, 1, index, self.sensor)
         return near_of(self, readings, where, index, correlated=correlated, unanswered=unanswered)
 
@@ -159,10 +148,10 @@ class Sensorgraph:
     def sample(
         self,
         poses: ArrayLike,
-        n: int = 1,
-        seed: int = 0,
+        n: Count = 1,
+        seed: Count = 0,
         *,
-        rays: Sequence[int] | NDArray[np.integer] | None = None,
+        rays: RayChoice = None,
         residual_memory: bool = True,
     ) -> Floats:
         """Draw scans at poses: (n, n_poses, n_rays) [m]; +inf: no return, -inf: closer than range_min.
@@ -173,6 +162,10 @@ class Sensorgraph:
         n : Number of draws; each is of another possible world, which all poses share.
         seed : Random seed; the same seed gives the same scans.
         residual_memory : Draw readings that end near each other with correlated errors, as the log had them.
+
+        Raises
+        ------
+        SensorgraphError : `n` or `seed` is not a whole number from 0 on; poses and rays as for `predict`.
         """
         where, index = self._asked(poses, rays)
         return sample_of(self, where, n, seed, index, residual_memory=residual_memory)
@@ -182,14 +175,13 @@ class Sensorgraph:
         """Distribution of readings in space that no training ray has crossed."""
         return unknown_space(self)
 
-    def lasers(self, poses: Floats) -> Floats:
+    def lasers(self, poses: ArrayLike) -> Floats:
         """Return the poses (..., 3) of the laser in map for poses (..., 3) of `pose_frame`."""
         mount = getattr(self.model, "mount", self.sensor.mount)
-        return poses if self.pose_frame == "laser" else np.asarray(compose(poses, mount))
+        where = numbers_of(poses, "poses")
+        return where if self.pose_frame == "laser" else np.asarray(compose(where, mount))
 
-    def _asked(
-        self, poses: ArrayLike, rays: Sequence[int] | NDArray[np.integer] | None
-    ) -> tuple[Floats, NDArray[np.intp]]:
+    def _asked(self, poses: ArrayLike, rays: RayChoice) -> tuple[Floats, NDArray[np.intp]]:
         """Return checked poses, one for each ray where the rays start at several points, and the indices of rays."""
         where = np.atleast_2d(numbers_of(poses, "poses"))
         index = rays_of(rays, self.sensor.n_rays)
@@ -235,12 +227,19 @@ class Sensorgraph:
             **({} if self.memory is None else {"memory": self.memory.summary()}),
         }
 
-    def with_pose_errors(self, sigma_xy: float | None = None, sigma_yaw: float | None = None) -> Sensorgraph:
+    @as_sensorgraph_error
+    def with_pose_errors(
+        self, sigma_xy: NotNegative | None = None, sigma_yaw: NotNegative | None = None
+    ) -> Sensorgraph:
         """Return the graph for uncertain poses, whose errors widen the distribution of every reading.
 
         Without this, faces predict for the exact pose. Cells and polynomials contain the pose errors of their own logs
         and are returned unchanged. The errors are standard deviations [m] of x and of y and [rad] of phi; None: those of
         the poses in the graph's logs.
+
+        Raises
+        ------
+        SensorgraphError : A standard deviation is not a number from 0 on.
         """
         if not isinstance(self.model, Faces):
             return self
@@ -259,39 +258,36 @@ class Sensorgraph:
         return model_figure(self.model)
 
     def equation(self, ray: int) -> str:
-        """Return the explicit equation of one ray, given by index."""
+        """Return the explicit equation of one ray, given by index.
+
+        Raises
+        ------
+        SensorgraphError : There is no such ray.
+        """
         rays_of([ray], self.sensor.n_rays)
         return self.model.equation(ray)
 
+    @as_sensorgraph_error
     def save(self, path: Path | str) -> None:
         """Write one file; the same graph gives the same bytes.
 
         Raises
         ------
-        OSError : The file cannot be written.
+        SensorgraphFileError : The file cannot be written.
         """
-        header, arrays = self.model.state()
-        sensor = {name: getattr(self.sensor, name) for name in SENSOR_FIELDS} | rare_times(self.sensor)
-        top = {
-            "format": FORMAT,
-            "version": VERSION,
-            "model": self.model.name,
-            "pose_frame": self.pose_frame,
-            "sensor": sensor,
-            "origin": dict(self.origin),
-            "state": header,
-        }
-        arrays = {**arrays, **sensor_arrays(self.sensor)}
-        arrays |= {} if self.memory is None else self.memory.arrays()
-        write_members(Path(path), top, arrays)
+        write_graph(
+            Path(path), model=self.model, sensor=self.sensor, pose_frame=self.pose_frame, origin=self.origin,
+            memory=self.memory,
+        )  # fmt: skip
 
     @classmethod
+    @as_sensorgraph_error
     def load(cls, path: Path | str) -> Sensorgraph:
         """Read a file written by `save`; no code of the file is executed.
 
         Raises
         ------
-        SensorgraphError : The file is not a sensorgraph, is damaged, or has a newer version.
+        SensorgraphError : The file does not exist, is not a sensorgraph, is damaged, or has a newer version.
         """
         return cls(**read_graph(Path(path)))
 
@@ -302,6 +298,6 @@ def load(path: Path | str) -> Sensorgraph:
 
     Raises
     ------
-    SensorgraphError : The file is not a sensorgraph, is damaged, or has a newer version.
+    SensorgraphError : The file does not exist, is not a sensorgraph, is damaged, or has a newer version.
     """
     return Sensorgraph.load(path)

@@ -17,9 +17,10 @@ from logs.errors import LogError
 from logs.files import atomic_file
 from logs.formats import format_of
 from logs.inflation import most_plain
-from logs.run import PoseFrame, RangeSensor, with_rare_times
+from logs.run import PoseFrame, RangeSensor, rare_times, with_rare_times
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models import MODELS
+from sensorgraph.models.base import Model
 from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.models.stored_numbers import check_numbers
 
@@ -54,6 +55,30 @@ def write_members(path: Path, top: Mapping[str, Any], arrays: Mapping[str, NDArr
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
             file.writestr(info, data)
+
+
+def write_graph(
+    path: Path, *, model: Model, sensor: RangeSensor, pose_frame: PoseFrame, origin: Mapping[str, Any],
+    memory: ResidualMemory | None,
+) -> None:  # fmt: skip
+    """Write the fields of a `Sensorgraph`, which `read_graph` returns.
+
+    Raises
+    ------
+    OSError : The file cannot be written.
+    """
+    header, arrays = model.state()
+    top = {
+        "format": FORMAT,
+        "version": VERSION,
+        "model": model.name,
+        "pose_frame": pose_frame,
+        "sensor": {name: getattr(sensor, name) for name in SENSOR_FIELDS} | rare_times(sensor),
+        "origin": dict(origin),
+        "state": header,
+    }
+    of_memory = {} if memory is None else memory.arrays()
+    write_members(path, top, {**arrays, **sensor_arrays(sensor), **of_memory})
 
 
 def read_graph(path: Path) -> dict[str, Any]:

@@ -15,12 +15,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from logs.transforms import compose, invert
 from planners.kernel import inner_kernel, kernel
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Model
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
+from sensorgraph.sensor_model_input import check_poses, numbers_of, rays_of
 from sensorgraph.types import Bools, Floats, Ints
 
 TURN_STEP, RANGE_STEP = math.radians(0.25), 0.01
@@ -53,14 +56,22 @@ class NearbyLikelihood:
         """Whether entries are further apart than wanted, since the poses were too far from each other."""
         return bool((self.grids[:, 2:] > [1.01 * TURN_STEP, 1.01 * RANGE_STEP]).any())
 
-    def log_likelihood(self, poses: Floats, rays: Ints | None = None) -> Floats:
+    def log_likelihood(self, poses: ArrayLike, rays: ArrayLike | None = None) -> Floats:
         """Return the sum over rays (n_poses,) at poses (n_poses, 3), which should lie among those of the tables.
 
         `rays` are positions among the rays of the tables; None: all.
+
+        Raises
+        ------
+        SensorgraphError : The poses have another shape or are not finite, or a ray does not exist.
         """
-        index = np.arange(len(self.ranges)) if rays is None else np.asarray(rays, dtype=np.intp)
-        out = np.zeros(len(poses))
-        lasers = np.ascontiguousarray(compose(poses, self.mount))
+        index = rays_of(rays, len(self.ranges))
+        where = np.atleast_2d(numbers_of(poses, "poses"))
+        if where.ndim != 2:
+            raise SensorgraphError(f"poses has shape {where.shape}, expected (n_poses, 3) for x, y, phi")
+        check_poses(where, len(index))
+        out = np.zeros(len(where))
+        lasers = np.ascontiguousarray(compose(where, self.mount))
         _add_up(
             lasers, self.ranges, self.bearings, self.centre, self.grids, self.shapes, self.table, index, out
         )

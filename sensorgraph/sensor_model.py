@@ -15,7 +15,6 @@ from functools import cache
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
@@ -29,14 +28,12 @@ from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.models.unknown_space import N_POSES, N_RAYS, UnknownSpace
 from sensorgraph.nearby_likelihood import NearbyLikelihood, tabulated
-from sensorgraph.sensor_model_input import check_count
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.scene import apply_range_limits
 
 logger = logging.getLogger(__name__)
 Unanswered = Literal["broad", "skip"]
 """What a ray counts that no training data support: the distribution of unknown space, or nothing."""
-UNANSWERED: tuple[str, ...] = ("broad", "skip")
 POSES_PER_MIXTURE = 16
 """Number of poses whose mixtures are in memory at once."""
 POSES_PER_TASK = 64
@@ -91,13 +88,11 @@ class GraphRays:
         """The mixtures of all rays; large for many poses of a model of cells."""
         return Mixture.padded([part for _, part in self._parts()], axis=0)
 
-    def evaluate(self, function: Callable[[Mixture, Floats], Floats], values: ArrayLike) -> Floats:
-        """Return a function of mixtures and values for all rays: (n_poses, n_rays); values are broadcast."""
-        shape = len(self.poses), len(self.rays)
-        each = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
-        out = np.empty(shape)
+    def evaluate(self, function: Callable[[Mixture, Floats], Floats], values: Floats) -> Floats:
+        """Return a function of mixtures and values for all rays, (n_poses, n_rays) both."""
+        out = np.empty(values.shape)
         for here, part in self._parts():
-            out[here] = function(part, each[here])
+            out[here] = function(part, values[here])
         return out
 
     def points(self, ranges: Floats) -> Floats:
@@ -119,7 +114,6 @@ def likelihood_of(
     unanswered: Unanswered,
 ) -> Floats:
     """Compute `Sensorgraph.log_likelihood`; ranges (n_poses or 1, n_rays) [m], poses as the module describes."""
-    _check_choice(unanswered)
     found, supported = ray_likelihoods(graph, ranges, poses, rays)
     known = ~np.isnan(np.broadcast_to(ranges, found.shape))
     if unanswered == "broad":
@@ -138,7 +132,6 @@ def near_of(
     graph: Graph, ranges: Floats, poses: Floats, rays: Ints, *, correlated: bool, unanswered: Unanswered
 ) -> NearbyLikelihood:
     """Compute `Sensorgraph.near`; ranges (1, n_rays) [m], poses (n_poses, 3)."""
-    _check_choice(unanswered)
     if poses.ndim == 3:
         raise SensorgraphError(
             "near takes one pose for all rays of a scan, which start at one point; use log_likelihood"
@@ -159,12 +152,6 @@ def _shares(graph: Graph, ranges: Floats, rays: Ints, *, correlated: bool) -> Fl
     if correlated:
         _warn_of_missing_memory()
     return np.ones(len(ranges))
-
-
-def _check_choice(unanswered: str) -> None:
-    """Refuse an unknown choice of what unanswered rays count."""
-    if unanswered not in UNANSWERED:
-        raise SensorgraphError(f"unanswered is {unanswered!r}, expected {' or '.join(UNANSWERED)}")
 
 
 def ray_likelihoods(graph: Graph, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
@@ -285,14 +272,7 @@ def draw(graph: Graph, poses: Floats, uniform: Floats, normal: Floats, rays: Int
 
 
 def sample_of(graph: Graph, poses: Floats, n: int, seed: int, rays: Ints, *, residual_memory: bool) -> Floats:
-    """Compute `Sensorgraph.sample`: (n, n_poses, n_rays) [m].
-
-    Raises
-    ------
-    SensorgraphError : n or seed is not a whole number from 0 on.
-    """
-    check_count("n", n)
-    check_count("seed", seed)
+    """Compute `Sensorgraph.sample`: (n, n_poses, n_rays) [m]."""
     out = np.empty((n, len(poses), len(rays)))
     memory = graph.memory if residual_memory else None
     places = None

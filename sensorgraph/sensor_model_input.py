@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from logs import arguments
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats, Ints
@@ -27,26 +28,26 @@ def numbers_of(values: ArrayLike, what: str) -> Floats:
     SensorgraphError : A value is not a real number.
     """
     try:
-        if isinstance(values, np.ma.MaskedArray):
-            return np.asarray(np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan))
-        if not np.iscomplexobj(values):
-            return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        pass
-    raise SensorgraphError(
-        f"{what} of type {type(values).__name__} holds no real numbers; expected an array of them"
-    )
+        return arguments.numbers_of(values, what)
+    except ValueError as exc:
+        raise SensorgraphError(str(exc)) from exc
 
 
-def check_count(name: str, value: object) -> None:
-    """Check a count or a seed.
+def spread_over(values: ArrayLike, what: str, shape: tuple[int, int]) -> Floats:
+    """Return values (n_poses, n_rays) as numbers, broadcast to that shape.
 
     Raises
     ------
-    SensorgraphError : It is not a whole number from 0 on.
+    SensorgraphError : A value is not a real number, or their shape does not fit.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise SensorgraphError(f"{name} is {value!r}, expected a whole number from 0 on")
+    given = numbers_of(values, what)
+    try:
+        return np.broadcast_to(given, shape)
+    except ValueError:
+        raise SensorgraphError(
+            f"{what} has shape {given.shape}, expected one number, ({shape[1]},) for one of each ray, ({shape[0]}, 1) for "
+            f"one of each pose, or {shape}; for several numbers call it once for each"
+        ) from None
 
 
 def rays_of(rays: ArrayLike | None, n_rays: int) -> Ints:
@@ -113,11 +114,10 @@ def check_poses(poses: Floats, n_rays: int) -> None:
 
     Raises
     ------
-    ValueError : The poses have another shape.
-    SensorgraphError : A pose is not finite or too far away, or headings are in degrees.
+    SensorgraphError : The poses have another shape, one is not finite or too far away, or headings are in degrees.
     """
     if poses.shape[-1:] != (3,) or poses.shape[1:-1] not in ((), (1,), (n_rays,)):
-        raise ValueError(
+        raise SensorgraphError(
             f"poses has shape {poses.shape}, expected (n_poses, 3) for x, y, phi or (n_poses, {n_rays}, 3)"
         )
     flat = poses.reshape(len(poses), 1 if poses.ndim == 2 else poses.shape[1], 3)

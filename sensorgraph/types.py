@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
+
+RayChoice = Sequence[int] | NDArray[np.integer] | None
+"""Indices of rays, or a mask (n_rays,) of bool; None: all rays."""
 
 Progress = Callable[[int, int], None]
 """Function that is called with (done, total) during the work."""

@@ -346,9 +346,9 @@ def test_wrong_arguments_are_one_line(graphs: dict[str, Sensorgraph]) -> None:
     found = graph.predict(pose)
     calls: dict[str, Callable[[], object]] = {
         "q is 2, expected": lambda: found.quantile(2.0),
-        "n is -1, expected a whole number": lambda: graph.sample(pose, -1),
-        "n is 1.5": lambda: graph.sample(pose, 1.5),  # type: ignore[arg-type]
-        "seed is -1": lambda: graph.sample(pose, 1, -1),
+        "`n` is -1, expected a whole number": lambda: graph.sample(pose, -1),
+        "`n` is 1.5": lambda: graph.sample(pose, 1.5),  # type: ignore[arg-type]
+        "`seed` is -1": lambda: graph.sample(pose, 1, -1),
         "did you mean `correlated`": lambda: graph.log_likelihood(np.ones(61), pose, corelated=False),  # type: ignore[call-arg]
         "did you mean `rays`": lambda: graph.predict(pose, ray=[1]),  # type: ignore[call-arg]
         "ranges of type list holds no real numbers": lambda: graph.log_likelihood(["a"] * 61, pose),

@@ -8,7 +8,7 @@ import re
 import pytest
 
 import sensorgraph as sg
-from sensorgraph.building.build import option_names
+from sensorgraph.building.build import option_types
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models import MODELS
 
@@ -44,7 +44,7 @@ def test_misspelt_option_of_every_function_is_named(name: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 def test_options_of_models_are_known(model: type) -> None:
-    assert set(model.OPTIONS) <= set(option_names())
+    assert set(model.OPTIONS) <= set(option_types())
 
 
 def test_misspelt_option_of_a_model_or_a_specification_is_named() -> None:

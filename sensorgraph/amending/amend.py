@@ -65,7 +65,8 @@ class AmendedModel:
         """Unified diff of all files."""
         return "\n".join(file.diff for file in self.files if file.diff)
 
-    def write(self, out: Path | None = None) -> list[Path]:
+    @as_sensorgraph_error
+    def write(self, out: Path | str | None = None) -> list[Path]:
         """Write the changed files; return their paths.
 
         Parameters
@@ -76,6 +77,7 @@ class AmendedModel:
         ------
         SensorgraphError : Several files cannot be written to one file, or a file is read-only.
         """
+        out = None if out is None else Path(out)
         is_folder = out is not None and (out.is_dir() or len(self.files) > 1)
         if out is not None and is_folder:
             if out.exists() and not out.is_dir():

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from inspect import signature
 from pathlib import PurePath
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -100,10 +100,13 @@ def build(
     return _add_memory(graph, feed_again(), progress) if memory else graph
 
 
-def option_names() -> list[str]:
-    """Return the names of all options of `build` and of the models."""
+@cache
+def option_types() -> Mapping[str, Any]:
+    """Return the names of all options of `build` and of the models, with their types."""
+    hints = get_type_hints(build)
     own = [one.name for one in signature(build).parameters.values() if one.kind is one.KEYWORD_ONLY]
-    return [*own, *(name for model in MODELS.values() for name in model.OPTIONS)]
+    of_models = {name: kind for model in MODELS.values() for name, kind in model.OPTIONS.items()}
+    return {**{name: hints[name] for name in own}, **of_models}
 
 
 def _add_memory(graph: Sensorgraph, feed: TrainingData, progress: ProgressBars) -> Sensorgraph:

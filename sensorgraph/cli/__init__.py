@@ -166,19 +166,14 @@ def _report_error(exc: Exception) -> int:
         used = "sensorgraph" if context is None else context.command_path
         _print_error(f"error: {' '.join(exc.format_message().split()).rstrip('.')}; see `{used} --help`")
         return int(exc.exit_code)
-    if isinstance(exc, OSError) and exc.filename is None and exc.errno is not None:
-        _print_error(f"error: {exc.strerror}; the output cannot be written")
-        return 2
-    if isinstance(exc, OSError) and exc.filename is not None:
-        _print_error(
-            f"error: {exc.filename}: {exc.strerror}; give a path that exists and can be read or written"
-        )
-        return 2
     from logs.errors import LogError
     from planners.errors import PlanError
     from robotmodic_ident.errors import IdentError
-    from sensorgraph.errors import SensorgraphError
+    from sensorgraph.errors import SensorgraphError, file_fault
 
+    if isinstance(exc, OSError) and (exc.filename is not None or exc.errno is not None):
+        _print_error(f"error: {file_fault(exc)}")
+        return 2
     if isinstance(exc, LogError | PlanError | IdentError | SensorgraphError):
         _print_error(f"error: {_one_line(exc)}")
         return 2

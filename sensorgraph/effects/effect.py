@@ -22,7 +22,7 @@ from sensorgraph.effects.interfaces import (
 )
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.set_up import SetUp
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, refuse_wrong_types
 from sensorgraph.types import Floats, Ints
 
 Channel = Literal["scan", "odometry", "drive"]
@@ -166,7 +166,7 @@ class Effect:
         Raises
         ------
         SensorgraphError
-            The effect has no parameter of this name.
+            The effect has no parameter of this name, or a value is not a number.
         """
         known = [parameter.name for parameter in self.parameters]
         wrong = next((name for name in values if name not in known), None)
@@ -174,6 +174,7 @@ class Effect:
             raise SensorgraphError(
                 f"{self.name} has no parameter `{wrong}`; expected {', '.join(known) or 'none'}"
             )
+        refuse_wrong_types(values, dict.fromkeys(values, float))
         return Amendment(effect=self, parameters=values)
 
     def parameter(self, name: str) -> Parameter:

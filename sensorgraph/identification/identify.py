@@ -16,6 +16,7 @@ from robotmodic_ident.selection.criteria import Criterion
 from robotmodic_ident.validation.residual_tests import validate
 from robotmodic_ident.validation.score import Extrapolation, Score, extrapolation
 from robotmodic_ident.validation.score import score as score_series
+from sensorgraph.arguments import Count
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.identification.signals import SignalData, variable
 from sensorgraph.types import Floats
@@ -41,12 +42,12 @@ class IdentificationSpec:
 
     output: str
     inputs: Sequence[str]
-    lags: int = 2
+    lags: Count = 2
     """[samples] Inputs are used at k, k-1, ..., k-lags."""
-    output_lags: int = 0
+    output_lags: Count = 0
     """[samples] Past outputs are used at k-1, ..., k-output_lags."""
-    degree: int = 2
-    noise_lags: int | Literal["auto"] = 0
+    degree: Count = 2
+    noise_lags: Count | Literal["auto"] = 0
     """[samples] Past noise is used at k-1, ..., k-noise_lags; `auto` chooses the number from the residual."""
     split: Split = "half"
     criterion: Criterion | None = None

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, get_args
+from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from logs.files import atomic_file
 from logs.run import PoseFrame, RangeSensor
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
+from sensorgraph.models.distribution import Mixture
+from sensorgraph.sensor_model_input import spread_over
 from sensorgraph.types import Bools, Floats, Ints, Progress
-
-if TYPE_CHECKING:
-    from sensorgraph.models.distribution import Mixture
 
 Point = Literal["mode", "median", "mean"]
 POINTS: tuple[str, ...] = get_args(Point)
@@ -83,7 +83,7 @@ class PredictedRays(Protocol):
 
     @property
     def mixture(self) -> Mixture: ...
-    def evaluate(self, function: Callable[[Mixture, Floats], Floats], values: ArrayLike) -> Floats: ...
+    def evaluate(self, function: Callable[[Mixture, Floats], Floats], values: Floats) -> Floats: ...
     def points(self, ranges: Floats) -> Floats: ...
 
 
@@ -139,31 +139,44 @@ class Prediction:
         return f"Prediction: {n_poses:,} pose{'s' if n_poses != 1 else ''} × {n_rays:,} rays, {share:.0%} answered"
 
     def pdf(self, z: ArrayLike) -> Floats:
-        """Return the density [1/m] (n_poses, n_rays) of readings z [m], given a return; z is broadcast to that shape."""
-        return self._rays.evaluate(lambda mixture, values: mixture.pdf(values), z)
+        """Return the density [1/m] (n_poses, n_rays) of readings z [m], given a return; z is broadcast to that shape.
+
+        Raises
+        ------
+        SensorgraphError : z is no number, or its shape cannot be broadcast. nan has the density nan.
+        """
+        return self._evaluated(Mixture.pdf, z, "z")
 
     def cdf(self, z: ArrayLike) -> Floats:
-        """Return the probability (n_poses, n_rays) of readings below z [m], given a return; z is broadcast."""
-        return self._rays.evaluate(lambda mixture, values: mixture.cdf(values), z)
+        """Return the probability (n_poses, n_rays) of readings below z [m], given a return; z is broadcast as in `pdf`.
+
+        Raises
+        ------
+        SensorgraphError : z is no number, or its shape cannot be broadcast. nan has the probability nan.
+        """
+        return self._evaluated(Mixture.cdf, z, "z")
 
     def quantile(self, q: ArrayLike) -> Floats:
         """Return the ranges [m] (n_poses, n_rays) below which a return lies with probability q; q is broadcast.
 
+        q is one number, or an array (n_rays,), (n_poses, 1) or (n_poses, n_rays).
+
         Raises
         ------
-        ValueError : q is not between 0 and 1.
+        SensorgraphError : q is not between 0 and 1, or its shape cannot be broadcast.
         """
-        return self._rays.evaluate(lambda mixture, values: mixture.quantile(values), q)
+        return self._evaluated(Mixture.quantile, q, "q")
 
+    @as_sensorgraph_error
     def interval(self, p: float) -> tuple[Floats, Floats]:
         """Return lower and upper ranges [m], (n_poses, n_rays) each, between which a return lies with probability p.
 
         Raises
         ------
-        ValueError : p is not between 0 and 1.
+        SensorgraphError : p is not a number between 0 and 1.
         """
         if not 0 < p < 1:
-            raise ValueError(f"p is {p!r}, expected a number above 0 and below 1")
+            raise SensorgraphError(f"p is {p}, expected a number above 0 and below 1")
         return self.quantile(0.5 - 0.5 * p), self.quantile(0.5 + 0.5 * p)
 
     def components(self) -> tuple[Floats, Floats, Floats, Ints]:
@@ -179,22 +192,34 @@ class Prediction:
         """Return the predicted end points (n_poses, n_rays, 2) [m, map]; nan where no return is more probable."""
         return self._rays.points(self.ranges)
 
+    def _evaluated(
+        self, function: Callable[[Mixture, Floats], Floats], values: ArrayLike, name: str
+    ) -> Floats:
+        """Return a function of the mixtures and of values (n_poses, n_rays)."""
+        rays = self._rays
+        n_poses, n_rays = self.ranges.shape
+        try:
+            return rays.evaluate(function, spread_over(values, name, (n_poses, n_rays)))
+        except ValueError as exc:
+            raise SensorgraphError(str(exc)) from exc
+
     @property
     def _rays(self) -> PredictedRays:
         if self.rays is None:
-            raise ValueError(
+            raise SensorgraphError(
                 "the prediction has no distribution; only one that `Sensorgraph.predict` made has it"
             )
         return self.rays
 
-    def save(self, path: Path) -> None:
+    @as_sensorgraph_error
+    def save(self, path: Path | str) -> None:
         """Write the arrays of SAVED_ARRAYS, each (n_poses, n_rays), as NPZ.
 
         Raises
         ------
-        OSError : The file cannot be written.
+        SensorgraphFileError : The file cannot be written.
         """
-        with atomic_file(path) as part, part.open("wb") as file:
+        with atomic_file(Path(path)) as part, part.open("wb") as file:
             np.savez_compressed(file, **{name: getattr(self, name) for name in SAVED_ARRAYS})
 
     def point(self, name: Point) -> Floats:
@@ -202,10 +227,10 @@ class Prediction:
 
         Raises
         ------
-        ValueError : The point value does not exist.
+        SensorgraphError : The point value does not exist.
         """
         if name not in POINTS:
-            raise ValueError(f"point is {name!r}, expected one of {', '.join(POINTS)}")
+            raise SensorgraphError(f"point is {name!r}, expected one of {', '.join(POINTS)}")
         return np.asarray(getattr(self, name), dtype=np.float64)
 
 
@@ -213,8 +238,8 @@ class Model(Protocol):
     """A fitted model; `restore(*model.state())` recreates it."""
 
     name: ClassVar[str]
-    OPTIONS: ClassVar[tuple[str, ...]]
-    """Names of the options that `fit` takes."""
+    OPTIONS: ClassVar[Mapping[str, Any]]
+    """Options that `fit` takes -> their types."""
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import logs
 import planners
@@ -20,6 +21,7 @@ from planners.maps.no_go import Zone, without
 from planners.planning import WALL_MARGIN
 from planners.settings import JOIN_PLANNERS
 from planners.trajectory import Trajectory
+from sensorgraph.arguments import Count
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.files import atomic_folder
 from sensorgraph.graph import Sensorgraph
@@ -30,6 +32,7 @@ from sensorgraph.planning.resume import driven_poses, other_place_warnings
 from sensorgraph.planning.survey import LaserSurvey, survey_of
 from sensorgraph.planning.views import views_within
 from sensorgraph.quantities import ANGLE, quantity
+from sensorgraph.sensor_model_input import numbers_of
 from sensorgraph.types import Floats, Progress
 from sensorgraph.world.robot import Robot, load_robot
 
@@ -51,6 +54,7 @@ class CoveragePlan:
         """Return the content of `plan.json` as plain data: coverage, time, clearance, settings."""
         return dict(self.drive.report)
 
+    @as_sensorgraph_error
     def save(self, folder: Path | str) -> Path:
         """Write trajectory, waypoints, MCAP, report and pictures into a folder, completely or not at all."""
         folder = Path(folder)
@@ -95,21 +99,21 @@ def plan(
     planner: str = "coverage",
     cell: float = 0.25,
     headings: int = 16,
-    start: Floats | None = None,
-    end: Floats | None = None,
+    start: ArrayLike | None = None,
+    end: ArrayLike | None = None,
     views: int | None = None,
     no_go: Sequence[Zone] = (),
     resume: Run | Path | str | Sequence[Run | Path | str] | None = None,
-    priority: Sensorgraph | None = None,
+    priority: Sensorgraph | Path | str | None = None,
     budget: float | None = None,
     battery: float | None = None,
-    dock: Floats | None = None,
+    dock: ArrayLike | None = None,
     duration: float | None = None,
     order: str | None = None,
-    graph: Sensorgraph | None = None,
+    graph: Sensorgraph | Path | str | None = None,
     margin: float = WALL_MARGIN,
     join_planner: str = JOIN_PLANNERS[0],
-    seed: int = 0,
+    seed: Count = 0,
     progress: Progress | None = None,
     status: Callable[[str], None] | None = None,
 ) -> CoveragePlan:
@@ -126,8 +130,7 @@ def plan(
     views : Visit only this number of poses, those that show most surface, instead of covering (x, y, phi).
     no_go : Polygons [m, map] that the robot must not enter; its laser sees through them.
     resume : One or several runs already driven, or their files; their bins need no visit.
-    priority : Sensorgraph; bins with the highest expected error come first, unobserved ones before all
-        others.
+    priority : Sensorgraph, or its file; unobserved bins come first, then those with the highest expected error.
     budget : [s] Maximum duration of the drive.
     battery : [s] Maximum duration of one run; all runs start and end at `dock` (3,) [m, m, rad].
     duration : [s] Duration of the baselines; None: the reference time of the coverage planner.
@@ -136,19 +139,20 @@ def plan(
     order : `fast`, the shortest drive; or `anytime`, where every prefix is as useful as possible. None:
         anytime for a robot that turns in place if a `budget` or a `graph` is given and no `priority`;
         otherwise fast.
-    graph : Sensorgraph for the order anytime: look first where its expected error is highest.
+    graph : Sensorgraph, or its file, for the order anytime: look first where its expected error is highest.
     seed : The same seed gives the same plan, byte for byte.
     progress : Called with (bins done, total bins).
     status : Called with a short text about the current step and the plan so far.
 
     Raises
     ------
-    SensorgraphError : The robot does not fit, a pose is in a wall, no bin is reachable, or two arguments
-        contradict.
+    SensorgraphError : The robot does not fit, a pose is in a wall, no bin is reachable, or two arguments contradict.
     """
     world = arena if isinstance(arena, Arena) else load_arena(arena)
     machine = robot if isinstance(robot, Robot) else load_robot(robot)
-    _check(views, planner, resume, {"start": start, "end": end, "dock": dock})
+    _check(views, planner, resume)
+    start, end, dock = _pose("start", start), _pose("end", end), _pose("dock", dock)
+    priority, graph = _opened(priority), _opened(graph)
     targets = None if views is None else partial(
         views_within, n=views, arena=world, sensor=machine.sensor, graph=priority, seed=seed
     )  # fmt: skip
@@ -212,13 +216,22 @@ def _survey(
     return survey
 
 
-def _check(
-    views: int | None, planner: str, resume: object | None, poses: Mapping[str, Floats | None]
-) -> None:
-    """Reject headings of more than a full turn, as degrees are, and arguments that contradict a plan of views."""
-    for name, pose in poses.items():
-        if pose is not None and np.shape(pose) == (3,):
-            quantity(float(pose[2]), f"`{name}`: phi", ANGLE)
+def _opened(graph: Sensorgraph | Path | str | None) -> Sensorgraph | None:
+    return Sensorgraph.load(graph) if isinstance(graph, Path | str) else graph
+
+
+def _pose(name: str, pose: ArrayLike | None) -> Floats | None:
+    """Return a pose as numbers; headings of more than a full turn, as degrees are, are rejected."""
+    if pose is None:
+        return None
+    numbers = numbers_of(pose, name)
+    if numbers.shape == (3,):
+        quantity(float(numbers[2]), f"`{name}`: phi", ANGLE)
+    return numbers
+
+
+def _check(views: int | None, planner: str, resume: object | None) -> None:
+    """Reject arguments that contradict a plan of views."""
     if views is None:
         if planner == "views":
             raise PlanError("the planner views needs the number of poses; give `views`")

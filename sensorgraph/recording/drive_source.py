@@ -17,6 +17,7 @@ from planners.maps import MAPS, load
 from planners.trajectory import Trajectory, read_csv
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.loading import arena_in, read_plan_report, robot_in
+from sensorgraph.planning.plan import CoveragePlan
 from sensorgraph.recording.record import Commands
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot, load_robot
@@ -94,6 +95,18 @@ def kept_plan(report: Mapping[str, Any]) -> dict[str, bytes]:
 def start_of(way: Trajectory | Commands) -> Floats:
     """Return the start (3,) [m, m, rad] of a drive."""
     return way.poses[0] if isinstance(way, Trajectory) else way.start
+
+
+def parts_of(
+    drive: CoveragePlan | Trajectory | Path | str,
+) -> tuple[Trajectory | Commands, Arena | None, Robot | None, dict[str, bytes]]:
+    """Return the trajectory or commands, their arena and robot if known, and the attachments of the run."""
+    if isinstance(drive, CoveragePlan):
+        return drive.trajectory, drive.arena, drive.robot, kept_plan(drive.to_dict())
+    if isinstance(drive, Trajectory):
+        return drive, None, None, {}
+    source = open_drive(Path(drive))
+    return source.way, source.arena(), source.robot(), source.attachments()
 
 
 def open_drive(path: Path, *, start: Floats | None = None) -> DriveSource:

@@ -10,7 +10,9 @@ import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert
+from sensorgraph.errors import SensorgraphError, refuse_wrong_types
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.sensor_model_input import numbers_of
 from sensorgraph.types import Floats
 from sensorgraph.watching.settings import TRACKING
 
@@ -24,7 +26,12 @@ MAX_AGE = 5.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observation:
-    """One scan of a robot."""
+    """One scan of a robot.
+
+    Raises
+    ------
+    SensorgraphError : The stamp is no number, or an array has another shape or holds no numbers.
+    """
 
     stamp: float
     """[s]"""
@@ -34,6 +41,18 @@ class Observation:
     """(3,) [m, m, rad] base_link in odom; None: unknown."""
     believed: Floats | None = None
     """(3,) [m, m, rad] base_link in map, as the robot believes; None: unknown."""
+
+    def __post_init__(self) -> None:
+        refuse_wrong_types({"stamp": self.stamp}, {"stamp": float})
+        for name, shape in (("ranges", None), ("odometry", (3,)), ("believed", (3,))):
+            value = getattr(self, name)
+            if value is None and shape is not None:
+                continue
+            numbers = numbers_of(value, name)
+            if numbers.shape != (shape or (numbers.size,)):
+                wanted = "(n_rays,)" if shape is None else "(3,): x, y, phi"
+                raise SensorgraphError(f"{name} has shape {numbers.shape}, expected {wanted}")
+            object.__setattr__(self, name, numbers)
 
 
 def believed_poses(run: Run) -> tuple[Floats, Floats] | None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from logs.run import RangeSensor, Run
+from sensorgraph.errors import refuse_wrong_types
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.types import Floats
 from sensorgraph.watching.evidence import Baseline
@@ -93,7 +94,7 @@ class Watcher:
 
     def _finite(self, observation: Observation) -> Observation:
         """Return a scan whose odometry and believed pose are unknown, with a note, if they are not finite."""
-        values = replace(observation, ranges=np.asarray(observation.ranges, dtype=np.float64))
+        values = observation
         for name, words in (("odometry", "odometry"), ("believed", "believed pose")):
             value = getattr(values, name)
             if value is not None and not np.isfinite(value).all():
@@ -181,6 +182,7 @@ def watch_scans(
     """Yield a status once a second of the scans' clock."""
     watcher = Watcher(graph, sensor, baseline=baseline)
     for observation in scans:
+        refuse_wrong_types({"scans": observation}, {"scans": Observation})
         status = watcher.add(observation)
         if status is not None:
             yield status

@@ -11,7 +11,7 @@ from typing import Any
 from logs.run import RangeSensor
 from planners.vehicle import DRIVES, Limits, Vehicle
 from planners.yaml_text import parse_yaml
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.types import Floats
 from sensorgraph.world.robot_sensor import OWN_KEYS, SENSOR_DEFAULTS, parse_sensors, sensor_of
 from sensorgraph.world.robot_values import reject_unknown, section, value_of
@@ -118,12 +118,13 @@ def default_robot() -> Robot:
     return parse_robot("")
 
 
+@as_sensorgraph_error
 def load_robot(path: Path | str | None = None) -> Robot:
     """Read a robot.yaml; without a path, that of the shipped robot.
 
     Raises
     ------
-    SensorgraphError : The file is invalid; the message is one line. OSError if it cannot be opened.
+    SensorgraphError : The file does not exist or is invalid.
     """
     if path is None:
         return parse_robot((files("sensorgraph.data") / "radix.yaml").read_text(), name="radix.yaml")

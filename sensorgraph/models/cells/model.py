@@ -41,7 +41,7 @@ class CellModel:
     """A table of cells, and the visibility polynomial it was made with."""
 
     name: ClassVar[str] = "cells"
-    OPTIONS: ClassVar[tuple[str, ...]] = ("cell",)
+    OPTIONS: ClassVar[Mapping[str, Any]] = {"cell": float}
 
     sensor: RangeSensor
     mount: Floats

@@ -68,7 +68,7 @@ class Faces(FacesData):
     """Faces with their visible stretches, the noise of returns, and the observed space."""
 
     name: ClassVar[str] = "faces"
-    OPTIONS: ClassVar[tuple[str, ...]] = ("calibrate", "cells")
+    OPTIONS: ClassVar[Mapping[str, Any]] = dict.fromkeys(("calibrate", "cells"), bool | None)
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:

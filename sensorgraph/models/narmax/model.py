@@ -39,7 +39,7 @@ class RayNarmax(NarmaxParameters):
     """The equations of all rays, and where they are supported by data."""
 
     name: ClassVar[str] = "narmax"
-    OPTIONS: ClassVar[tuple[str, ...]] = OPTIONS
+    OPTIONS: ClassVar[Mapping[str, Any]] = OPTIONS
 
     @classmethod
     def fit(cls, scans: TrainingScans, *, progress: Progress | None = None, **options: Any) -> Self:

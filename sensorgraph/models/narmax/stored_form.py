@@ -14,12 +14,13 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.narmax.candidates import NarmaxForm, ReadingScale, form_from
 from sensorgraph.models.narmax.parameters import QUANTILES
 from sensorgraph.models.narmax.settings import NARMAX
+from sensorgraph.models.polynomial.complexity import Auto
 from sensorgraph.models.polynomial.stored_form import check_order, check_scale
 from sensorgraph.models.polynomial.support import Support
 from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Ints
 
-OPTIONS = ("lags", "degree", "neighbours", "noise_lags", "n_terms")
+OPTIONS = dict.fromkeys(("lags", "degree", "neighbours", "noise_lags", "n_terms"), Auto)
 ARRAYS = (
     "order", "err", "theta", "stderr", "noise", "noise_stderr", "tests", "rows", "start_order", "start_theta",
     "theta_none", "memory", "sigma", "spread", "root",

@@ -50,7 +50,7 @@ class Polynomial:
     """Polynomials of all rays, and where they are supported by data."""
 
     name: ClassVar[str] = "polynomial"
-    OPTIONS: ClassVar[tuple[str, ...]] = ("degree", "harmonics", "n_terms")
+    OPTIONS: ClassVar[Mapping[str, Any]] = dict.fromkeys(("degree", "harmonics", "n_terms"), Auto)
 
     sensor: RangeSensor
     form: PolynomialForm
