@@ -31,6 +31,19 @@ def numbers_of(values: ArrayLike, what: str) -> Floats:
     )
 
 
+def convert_lists(owner: object, *names: str) -> None:
+    """Replace fields of a frozen dataclass that are lists or tuples by arrays of float64.
+
+    Raises
+    ------
+    ValueError : A field holds no real numbers.
+    """
+    for name in names:
+        value = getattr(owner, name)
+        if not isinstance(value, np.ndarray):
+            object.__setattr__(owner, name, numbers_of(value, name))
+
+
 def check_scan(scan: SupportsIndex, n_scans: int) -> None:
     """Check the index of a scan; negative ones count from the end.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from logs.arguments import check_scan, numbers_of
+from logs.arguments import check_scan, convert_lists, numbers_of
 from logs.html_table import html_table
 from logs.motion import motion_of
 from logs.occupancy_map import OccupancyMap as OccupancyMap
@@ -70,6 +70,10 @@ class Run:
     """File name -> bytes: `arena.geojson`, `robot.yaml`, `plan.json`, ..."""
 
     def __post_init__(self) -> None:
+        convert_lists(
+            self, "stamps", "ranges", "intensities", "pose_stamps", "poses", "pose_covariances", "odom_stamps", "odometry",
+            "odom_twists", "cmd_stamps", "commands",
+        )  # fmt: skip
         n_scans = len(self.stamps)
         if self.ranges.shape != (n_scans, self.sensor.n_rays):
             raise ValueError(
@@ -92,7 +96,9 @@ class Run:
             )
         for name in ("stamps", "pose_stamps", "odom_stamps", "cmd_stamps"):
             if not (np.diff(getattr(self, name)) >= 0).all():
-                raise ValueError(f"{name} goes back in time; sort the signals of the run by time")
+                raise ValueError(
+                    f"{name} goes back in time or is not finite; sort the signals of the run by time"
+                )
 
     @property
     def n_scans(self) -> int:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.arguments import convert_lists
 from logs.types import Floats
 
 PoseFrame = Literal["base_link", "laser"]
@@ -65,10 +66,17 @@ class RangeSensor:
     """(n_rays,) [s] time of each ray after that of ray 0, for several sensors read as one. Default (0,): by `sweep_time`."""
 
     def __post_init__(self) -> None:
+        convert_lists(self, "bearings", "mount", "origins", "cones", "delays")
+        if self.bearings.ndim != 1 or len(self.bearings) < 1:
+            raise ValueError(f"bearings has shape {self.bearings.shape}, expected (n_rays,)")
         steps = np.diff(self.bearings)
-        in_order = (steps >= 0).all() if self.is_composite else (steps > 0).all()
-        if self.bearings.ndim != 1 or len(self.bearings) < 1 or not in_order:
-            raise ValueError(f"bearings has shape {self.bearings.shape}, expected (n_rays,), increasing")
+        in_order = steps >= 0 if self.is_composite else steps > 0
+        if not in_order.all():
+            first = int(np.flatnonzero(~in_order)[0])
+            raise ValueError(
+                f"bearings go from {self.bearings[first]:g} to {self.bearings[first + 1]:g} rad at ray {first}, expected "
+                "increasing ones: reverse bearings and ranges of a clockwise laser"
+            )
         n = self.n_rays
         if self.origins.shape not in ((0, 2), (n, 2)) or {self.cones.shape, self.delays.shape} - {(0,), (n,)}:
             raise ValueError(
@@ -95,6 +103,15 @@ class RangeSensor:
                 f"interlaced_sweeps is {k} and sweep_period {period:g} s, with a sweep_time of {self.sweep_time:g} s; "
                 "expected 1 and 0 s, or at least 2 and a sweep_period of at least sweep_time"
             )
+
+    def __repr__(self) -> str:
+        """Summarise rays, limits and mount in one line."""
+        first, last = np.degrees(self.bearings[[0, -1]])
+        x, y, yaw = self.mount
+        return (
+            f"RangeSensor: {self.n_rays} rays from {first:.1f} to {last:.1f} deg, {self.range_min:g} to "
+            f"{self.range_max:g} m, mount ({x:g}, {y:g}) m, {np.degrees(yaw):g} deg"
+        )
 
     @property
     def n_rays(self) -> int:

@@ -46,6 +46,10 @@ class Trajectory:
         if n < 2 or not (np.diff(self.stamps) > 0).all():
             raise ValueError("a trajectory needs at least two samples with strictly increasing stamps")
 
+    def __repr__(self) -> str:
+        """Summarise the trajectory in one line."""
+        return f"Trajectory: {len(self.stamps):,} samples, {self.duration:.1f} s, {self.length:.1f} m"
+
     @property
     def duration(self) -> float:
         """[s] from the first sample to the last."""

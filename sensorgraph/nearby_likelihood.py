@@ -51,6 +51,11 @@ class NearbyLikelihood:
     table: Floats
     """(n_entries,) Log-likelihoods, tempered if the readings are correlated."""
 
+    def __repr__(self) -> str:
+        """Summarise the tables in one line."""
+        x, y, phi = self.centre
+        return f"NearbyLikelihood: {len(self.ranges)} rays, seen from ({x:.2f}, {y:.2f}) m, {phi:.2f} rad"
+
     @property
     def is_coarse(self) -> bool:
         """Whether entries are further apart than wanted, since the poses were too far from each other."""

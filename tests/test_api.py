@@ -48,6 +48,7 @@ def test_every_public_name_is_there_and_listed() -> None:
     for name in sg.__all__:
         assert getattr(sg, name) is not None
     assert set(sg.__all__) <= set(dir(sg))
+    assert [name for name in dir(sg) if name not in sg.__all__ and not name.startswith("__")] == []
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
@@ -102,7 +103,13 @@ def test_a_run_and_its_file_give_the_same_graph(run: Run, drive: CoveragePlan, t
 def test_results_say_what_they_are_in_a_few_lines(drive: CoveragePlan, run: Run) -> None:
     graph = sg.build(run, model="polynomial")
     found = sg.EFFECTS["range_bias"](b=0.03)
-    for result in (drive, run, graph, sg.evaluate(graph, run), drive.arena, found, found.effect):
+    turn = sg.identify(run, output="omega", inputs="cmd_omega", lags=1)
+    near = graph.near(run.ranges[0], run.poses[:3])
+    amended = sg.amend(Path(sg.__path__[0]) / "data" / "radix.yaml", [sg.EFFECTS["wheel_radius"](s=0.01)])
+    for result in (
+        drive, drive.trajectory, drive.robot, run, run.sensor, graph, graph.predict(run.poses[0]), near,
+        sg.evaluate(graph, run), drive.arena, found, found.effect, turn, amended,
+    ):  # fmt: skip
         lines = repr(result).splitlines()
         assert 1 <= len(lines) <= 5, type(result)
         assert max(map(len, lines)) <= 200, type(result)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -86,7 +88,9 @@ def test_pair_takes_poses_with_duplicated_stamps() -> None:
     [
         ({"ranges": np.zeros((3, 2))}, "ranges has shape"),
         ({"stamps": np.arange(40.0)[::-1]}, "goes back in time"),
+        ({"stamps": np.full(40, np.nan)}, "is not finite"),
         ({"poses": np.zeros((3, 2))}, "poses has shape"),
+        ({"poses": None}, "poses of type NoneType holds no real numbers"),
     ],
 )
 def test_run_refuses_arrays_that_do_not_fit(change: dict[str, np.ndarray], words: str) -> None:
@@ -99,8 +103,53 @@ def test_run_refuses_arrays_that_do_not_fit(change: dict[str, np.ndarray], words
 def test_sensor_refuses_bearings_that_do_not_increase() -> None:
     with pytest.raises(ValueError, match="increasing"):
         RangeSensor(bearings=np.array([0.0, 0.0]))
+    with pytest.raises(ValueError, match=r"from 0.5 to -1 rad at ray 1, .* reverse bearings and ranges"):
+        RangeSensor(bearings=np.array([0.0, 0.5, -1.0]))
     with pytest.raises(ValueError, match="min < max"):
         RangeSensor(bearings=np.zeros(1), range_min=1.0, range_max=1.0)
+
+
+def test_runs_and_sensors_take_lists() -> None:
+    sensor = RangeSensor(bearings=[-1, 0, 1], mount=(0.1, 0, 0))  # type: ignore[arg-type]
+    run = Run(sensor=sensor, stamps=[0, 1], ranges=[[1, 2, 3]] * 2, pose_stamps=[0], poses=[[0, 0, 0]])  # type: ignore[arg-type]
+    for array in (sensor.bearings, sensor.mount, run.stamps, run.ranges, run.poses):
+        assert array.dtype == np.float64
+    assert run.ray_poses(1).shape == (3, 3)
+    for call in (lambda: RangeSensor(bearings=None), lambda: RangeSensor(bearings=[0.0], mount="front")):  # type: ignore[arg-type]
+        with pytest.raises(
+            ValueError, match=r"(bearings of type NoneType|mount of type str) holds no real numbers"
+        ):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("scan", "kind"),
+    [
+        (None, ValueError),
+        ("3", ValueError),
+        (3.0, ValueError),
+        (True, ValueError),
+        ([3], ValueError),
+        (99, IndexError),
+    ],
+)
+def test_a_scan_is_chosen_by_its_index(scan: Any, kind: type[Exception]) -> None:
+    run = some_run()
+    with pytest.raises(
+        kind, match=r"scan (99 does not exist; this run has|is of type \w+, expected a whole number)"
+    ):
+        run.ray_poses(scan)
+    if scan is not None:
+        with pytest.raises(kind, match=r"^scan "):
+            run.plot(scan)
+    np.testing.assert_array_equal(run.ray_poses(-1), run.ray_poses(np.int64(run.n_scans - 1)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("stamps", [None, "one", np.datetime64(1, "s"), 1j, [1.0, "a"]])
+def test_times_of_poses_are_numbers(stamps: Any) -> None:
+    with pytest.raises(ValueError, match=r"^stamps of type \w+ holds no real numbers"):
+        some_run().poses_at(stamps)
+    assert some_run().poses_at([1, 2]).shape == (2, 3)
 
 
 def test_occupancy_refuses_what_is_no_map() -> None:

@@ -104,6 +104,12 @@ def status(**values: Any) -> WatchStatus:
     return WatchStatus(**{**parts, **values})
 
 
+def test_a_status_prints_its_sentences() -> None:
+    first, *sentences = repr(status(t=1.0)).splitlines()
+    assert first == "WatchStatus at 1.0 s"
+    assert [line.strip() for line in sentences] == [*status().sentences()]
+
+
 def test_scans_that_stop_before_the_run_are_noted(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def said(*_: object, **__: object) -> Iterator[WatchStatus]:
         yield from (status(t=1.0), status(t=2.0, notes=("first",)))

@@ -60,6 +60,11 @@ class AmendedModel:
     left_out: tuple[str, ...]
     """What the files cannot hold, with the Python layer that can, one line each."""
 
+    def __repr__(self) -> str:
+        """Summarise the changes in one line."""
+        changed = ", ".join(file.path.name for file in self.files if file.diff)
+        return f"AmendedModel: changes {changed or 'nothing'}, {len(self.left_out)} effects left out"
+
     @property
     def diff(self) -> str:
         """Unified diff of all files."""

@@ -123,6 +123,12 @@ class IdentifiedSignal:
     unknown: dict[str, float]
     """Signal -> share of unknown samples."""
 
+    def __repr__(self) -> str:
+        """Summarise the model in a few lines."""
+        return (
+            f"IdentifiedSignal of {self.question.output}, {self.n_train:,} training samples\n{self.model!r}"
+        )
+
     @property
     def varies(self) -> bool:
         """Whether the measured output varies in the scored records."""

@@ -58,6 +58,10 @@ class Fleet:
     walls: Mapping[str, Floats] = field(default_factory=dict, repr=False)
     """Place -> (n, 2, 2) [m] walls, for the map of changes."""
 
+    def __repr__(self) -> str:
+        """Summarise the result in one line."""
+        return f"Fleet: {self.extent}; {self.changed_robots}; {len(self.failures)} logs failed"
+
     @property
     def extent(self) -> str:
         """Number of logs and robots, and the length of the logs, in words."""

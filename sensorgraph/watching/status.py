@@ -32,6 +32,10 @@ class WatchStatus:
     notes: Sequence[str] = ()
     """Faults of the input since the last status, one line each."""
 
+    def __repr__(self) -> str:
+        """Summarise the time and the three sentences."""
+        return "\n  ".join([f"WatchStatus at {self.t:.1f} s", *self.sentences()])
+
     @property
     def faults(self) -> list[FaultDoubt]:
         """The named faults of laser and wheels."""

@@ -96,6 +96,10 @@ class Robot(Vehicle):
     text: str = ""
     """Text of the file, kept for the record."""
 
+    def __repr__(self) -> str:
+        """Summarise the robot in one line."""
+        return f"Robot {self.name}: {self.drive}, radius {self.footprint_radius:g} m, {self.limits}, {self.sensor}"
+
     @property
     def stated_base(self) -> float | None:
         """[m] Distance between the wheels; None if the file does not contain it."""
