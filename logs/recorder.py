@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from logs.arguments import numbers_of
 from logs.errors import LogError
 from logs.formats.mcap_file import RosFile, latch
 from logs.ros.messages import (
@@ -36,6 +37,11 @@ class Recorder:
     block, including Ctrl-C, the file becomes `NAME.interrupted.mcap` with the reason in its metadata, and the
     exception propagates. After `kill -9` or a power failure, `NAME.mcap.part` remains. `sensorgraph recover` then
     saves everything except the open chunk of 64 KiB.
+
+    Raises
+    ------
+    OSError : The path is a folder, or the file cannot be written.
+    ValueError : An array has another shape or holds no numbers, or a time is before 1970 (`LogError`).
     """
 
     def __init__(
@@ -130,7 +136,7 @@ class Recorder:
 
 
 def _row(values: ArrayLike, width: int, name: str) -> Floats:
-    row = np.asarray(values, dtype=np.float64)
+    row = numbers_of(values, name)
     if row.shape != (width,):
         raise ValueError(f"{name} has shape {row.shape}, expected ({width},)")
     return row[None]

@@ -96,7 +96,7 @@ def fit(
     if estimator not in ESTIMATORS:
         raise ValueError(f"estimator is {estimator!r}, expected one of {', '.join(ESTIMATORS)}")
     criterion = criterion or ("ebic" if n_terms is None else "n_terms")
-    _check_causal(terms + denominator, output)
+    _check_terms(terms, denominator, output)
     candidates = terms + times_output(denominator, output)
     selection = ProcessTermSelection(
         records=records, output=output, terms=candidates, n_terms=n_terms, criterion=criterion, err_tol=err_tol,
@@ -118,9 +118,16 @@ def fit(
     return model.without_widths() if any(model.scale.centres) else model.in_user_units()
 
 
-def _check_causal(terms: Terms, output: str) -> None:
+def _check_terms(terms: Terms, denominator: Terms, output: str) -> None:
+    """Refuse what is no `Terms`, and terms with the current output."""
     check_names(output)
-    for term, name in zip(terms, terms.names, strict=True):
+    for what, given in (("terms", terms), ("denominator", denominator)):
+        if not isinstance(given, Terms):
+            raise IdentError(
+                f"{what} is of type {type(given).__name__}, expected Terms, as `polynomial(...)` returns"
+            )
+    several = terms + denominator
+    for term, name in zip(several, several.names, strict=True):
         if any(f.variable == output and not f.lag for f in term):
             raise IdentError(
                 f"term {name} contains the current {output}; use past values, such as {output}(k-1)"

@@ -337,7 +337,7 @@ class Narmax:
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return to_plain(values, np.sqrt(np.diagonal(self.covariance)))
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write the model as JSON; `load` reads it.
 
         Raises
@@ -345,11 +345,11 @@ class Narmax:
         OSError
             If the file cannot be written.
         """
-        with atomic_file(path) as part:
+        with atomic_file(Path(path)) as part:
             part.write_text(json.dumps(self.to_dict(), indent=1) + "\n")
 
     @classmethod
-    def load(cls, path: Path) -> Narmax:
+    def load(cls, path: Path | str) -> Narmax:
         """Read a model written by `save`.
 
         Raises
@@ -360,7 +360,7 @@ class Narmax:
             If the file cannot be read.
         """
         try:
-            data = json.loads(path.read_text())
+            data = json.loads(Path(path).read_text())
             return cls.from_dict(data)
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as exc:
             if isinstance(exc, IdentError):

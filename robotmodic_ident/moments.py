@@ -209,7 +209,7 @@ class Moments:
             out.missing[i] = out.missing[i] + sign * hole if i in out.missing else sign * hole
         return out
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write one .npz file, without pickle."""
         header = {
             "format": MOMENTS_FORMAT,
@@ -217,7 +217,7 @@ class Moments:
             "scale": None if self.scale is None else self.scale.to_dict(),
         }
         own = sorted(self.missing)
-        with atomic_file(path) as part, part.open("wb") as file:
+        with atomic_file(Path(path)) as part, part.open("wb") as file:
             np.savez(
                 file,
                 header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -230,7 +230,7 @@ class Moments:
             )
 
     @classmethod
-    def load(cls, path: Path) -> Moments:
+    def load(cls, path: Path | str) -> Moments:
         """Read moments written by `save`.
 
         Raises
@@ -241,7 +241,7 @@ class Moments:
             If the file cannot be read.
         """
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 return _restored({name: data[name] for name in data.files})
         except Exception as exc:  # zipfile, zlib and numpy raise many kinds of errors for a damaged file
             if isinstance(exc, OSError) and exc.filename is not None:  # it cannot be opened

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,13 @@ from robotmodic_ident.types import Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
-    """Signals sampled at common times; steps of the stamps above `max_gap` are gaps."""
+    """Signals sampled at common times; steps of the stamps above `max_gap` are gaps.
+
+    Raises
+    ------
+    IdentError : A signal holds no real numbers.
+    ValueError : The signals differ in length, or the stamps do not increase.
+    """
 
     signals: Mapping[str, Floats]
     """Variable -> (n,) values; nan: unknown."""
@@ -27,6 +33,7 @@ class Record:
     """[s] longer steps are gaps; None: 1.5 times the median step."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "signals", {name: _numbers(name, v) for name, v in self.signals.items()})
         lengths = {name: np.shape(values) for name, values in self.signals.items()}
         if (
             not lengths
@@ -140,10 +147,32 @@ def padded_before(record: Record, n: int) -> Record:
 
 
 def as_records(records: Records) -> list[Record]:
-    """Convert one record or many, each a `Record` or a mapping of signals, to a list of records."""
-    if isinstance(records, Record | Mapping):
-        records = [records]
-    return [r if isinstance(r, Record) else Record(signals=r) for r in records]
+    """Convert one record or many, each a `Record` or a mapping of signals (or a data frame), to a list of records.
+
+    Raises
+    ------
+    IdentError : A record is no mapping, or a signal holds no numbers.
+    """
+    given: Any = records
+    is_one = isinstance(given, Record) or hasattr(given, "items") or not isinstance(given, Iterable)
+    several = [given] if is_one else list(given)
+    for one in several:
+        if not isinstance(one, Record) and not hasattr(one, "items"):
+            raise IdentError(
+                f"a record is of type {type(one).__name__}, expected a mapping of names of signals to arrays (n,)"
+            )
+    return [one if isinstance(one, Record) else Record(signals=one) for one in several]
+
+
+def _numbers(name: str, values: object) -> Floats:
+    """Return the values of a signal as numbers."""
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "cmM":  # neither complex nor times
+            return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        pass
+    raise IdentError(f"signal {name} holds no real numbers; expected an array (n,), nan where it is unknown")
 
 
 def lagged(
@@ -179,7 +208,7 @@ def lagged(
         if unknown:
             names = ", ".join(sorted(unknown))
             raise IdentError(f"record {i} has no signal {names}; it has {', '.join(record.signals)}")
-        data = {name: np.asarray(values, dtype=np.float64) for name, values in record.signals.items()}
+        data = record.signals
         for piece in record.segments():
             k = np.arange(piece.start + look_back, piece.stop, dtype=np.intp)
             if len(k) == 0:

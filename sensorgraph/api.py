@@ -213,12 +213,13 @@ def predict(
 
     Parameters
     ----------
-    poses : As `Sensorgraph.predict` takes them, or a CSV with the columns x, y, phi.
+    poses : (n_poses, 3) or (3,) [m, m, rad] in map, or others that `Sensorgraph.predict` takes; or a CSV with the columns
+        x, y, phi.
     rays, point : Indices of the predicted rays (None: all), and point value of the mixture in `ranges`.
 
     Raises
     ------
-    SensorgraphError : A pose is not finite, or is far from any arena.
+    SensorgraphError : The poses have another shape, one is not finite or far from any arena, or a heading is in degrees.
     """
     where = read_poses(Path(poses)) if isinstance(poses, str | os.PathLike) else poses
     return _graph(graph).predict(where, rays=rays, point=point)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,11 +130,50 @@ def test_centred_model_is_the_same_function_in_the_users_units(rng) -> None:
     assert model.equation(digits=4) == "z = 3 - 0.2*x + 0.01*x^2"
 
 
+class Frame:
+    """A table of columns, as pandas has it: no Mapping."""
+
+    def __init__(self, columns: dict[str, list[float]]) -> None:
+        self.columns = columns
+
+    def items(self) -> Iterable[tuple[str, list[float]]]:
+        return self.columns.items()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+
+def test_a_data_frame_is_a_record(rng: np.random.Generator) -> None:
+    data = planted(rng)
+    frame: Any = Frame({name: values.tolist() for name, values in data.items()})
+    assert fit(frame, "y", DICTIONARY).equation() == fit(data, "y", DICTIONARY).equation()
+
+
+@pytest.mark.parametrize(
+    ("records", "words"),
+    [
+        ("run.csv", "a record is of type str, expected a mapping of names of signals to arrays"),
+        (None, "a record is of type NoneType"),
+        (np.zeros((9, 2)), "a record is of type ndarray"),
+        ({"y": ["a"] * 9, "u": np.zeros(9)}, "signal y holds no real numbers"),
+        ({"y": np.zeros(9), "u": 1j * np.zeros(9)}, "signal u holds no real numbers"),
+    ],
+)
+def test_what_is_no_record_is_refused(records: Any, words: str) -> None:
+    with pytest.raises(IdentError, match=f"^{words}"):
+        fit(records, "y", DICTIONARY)
+
+
+def test_terms_that_are_a_list_are_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(IdentError, match="terms is of type list, expected Terms, as `polynomial"):
+        fit(planted(rng), "y", ["y(k-1)"])  # type: ignore[arg-type]
+
+
 def test_file_gives_the_same_model(rng, tmp_path: Path) -> None:
     record = planted(rng, noise=0.01)
     model = fit(record, "y", DICTIONARY)
     model.save(tmp_path / "model.json")
-    again = Narmax.load(tmp_path / "model.json")
+    again = Narmax.load(str(tmp_path / "model.json"))
     assert again.equation() == model.equation()
     np.testing.assert_array_equal(again.predict_mpo(record), model.predict_mpo(record))
     np.testing.assert_array_equal(again.covariance, model.covariance)

@@ -19,6 +19,12 @@ from logs.formats.mcap_file import CHUNK_SIZE
 from logs.recovery import recover
 
 
+def test_a_folder_is_refused_before_the_drive(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError):
+        Recorder(tmp_path, sensor=some_run().sensor)
+    assert not tmp_path.with_name(f"{tmp_path.name}.part").exists()
+
+
 def record(run: Run, path: Path) -> None:
     """Hand a run to the recorder in the order in which it happened."""
     events = [(float(t), "scan", i) for i, t in enumerate(run.stamps)]

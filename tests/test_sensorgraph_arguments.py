@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import pickle
 import re
@@ -263,3 +264,25 @@ def test_observations_are_arrays_or_refused() -> None:
     ):  # type: tuple[dict[str, Any], str]
         with pytest.raises(SensorgraphError, match=words):
             Observation(**{"stamp": 0.0, "ranges": np.ones(2), **values})
+
+
+def test_the_message_on_the_page_is_the_message(graph: Sensorgraph) -> None:
+    page = (Path(__file__).parents[1] / "docs/pages/api/sensorgraph.md").read_text()
+    sensor = RangeSensor(bearings=np.zeros(1))
+    run = Run(sensor=sensor, stamps=np.zeros(1), ranges=np.ones((1, 1)))
+    with pytest.raises(SensorgraphError) as error:
+        sg.predict(run, [0.0, 0.0, 0.0])  # type: ignore[arg-type]
+    assert f"sensorgraph.errors.SensorgraphError: {error.value}\n" in page
+    for array in (np.array([1, 2, 0]), np.float32([1, 2, 0]), [1, 2, 0], np.ma.masked_array([1.0, 2.0, 0.0])):
+        assert sg.predict(graph, array).ranges.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))]
+)
+def test_graphs_and_predictions_are_copied(graph: Sensorgraph, copied: Callable[[Any], Any]) -> None:
+    pose = [1.0, 1.0, 0.3]
+    found = graph.predict(pose)
+    again = copied(found)
+    np.testing.assert_array_equal(again.quantile(0.3), found.quantile(0.3))
+    np.testing.assert_array_equal(copied(graph).predict(pose).mean, found.mean)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -71,6 +72,8 @@ class RosFile:
     def __init__(self, path: Path) -> None:
         from mcap.writer import Writer
 
+        if path.is_dir():  # found now, and not when the drive is over
+            raise IsADirectoryError(errno.EISDIR, "Is a directory", str(path))
         self.path = path
         self.part, self._stream = _open_part(path)
         self._writer = Writer(_Flushed(self._stream), chunk_size=CHUNK_SIZE, enable_data_crcs=True)  # type: ignore[arg-type]

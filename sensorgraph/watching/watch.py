@@ -33,7 +33,8 @@ def watch(
 
     Raises
     ------
-    SensorgraphError : The graph has another model, the scans are of another sensor, or a file is damaged.
+    SensorgraphError : The graph has another model, the scans are of another sensor, or a file is missing or damaged.
+        Errors of the scans are raised when the statuses are read.
     """
     model = graph if isinstance(graph, Sensorgraph) else Sensorgraph.load(graph)
     limits = load_policy(Path(policy)) if isinstance(policy, str | Path) else policy or WatchPolicy()
