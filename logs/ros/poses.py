@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from logs.errors import LogError
 from logs.jumps import JUMP_LIMITS
+from logs.publishers import of_one_publisher
 from logs.ros.messages import planar_covariances
 from logs.ros.recording import (
     ODOMETRY_TYPE,
@@ -175,6 +176,9 @@ def find_motion(
             notes.append(f"several topics could be odom ({choices(recording, 'odom')}): {odom_name} was used")
         elif candidates(recording, "odom") and odom is None:
             notes.append(f"several topics could be odom, none was used: {choices(recording, 'odom')}")
+    if odom is not None:
+        odom, more = _of_one_publisher(odom_name or "", odom)
+        notes += more
     name, is_named = choose(recording, "pose", topics, robot.topic), (topics or {}).get("pose") is not None
     is_tf = name is not None and recording.topics[name].type == TF_TYPE
     found: tuple[Track, PoseFrame, str] | None = None
@@ -199,25 +203,30 @@ def find_motion(
         notes.append(
             f"several topics could be the reference pose, {used} was used: {choices(recording, 'pose')}"
         )
-    if odom is not None:
-        notes += _jump_notes(odom_name or "", odom)
     return RobotMotion(
         odometry=odom, odom_source=odom_name or "", poses=poses, pose_frame=pose_frame,
         pose_source=source, notes=notes,
     )  # fmt: skip
 
 
-def _jump_notes(name: str, odom: Track) -> list[str]:
-    """Report odometry that jumps back and forth, as the messages of two publishers do."""
+def _of_one_publisher(name: str, odom: Track) -> tuple[Track, list[str]]:
+    """Return the odometry of one publisher, and a note on odometry that jumps back and forth."""
     seconds = np.diff(odom.stamps) / 1e9
     moved = np.hypot(*np.diff(odom.values[:, :2], axis=0).T)
     jumps = (moved > JUMP_LIMITS.speed * np.maximum(seconds, 1e-3)) & (moved > MIN_JUMP)
     if not len(jumps) or jumps.mean() < MIN_JUMPS:
-        return []
-    return [
-        f"{name} jumps at {jumps.mean():.0%} of its messages, by up to {moved[jumps].max():.2f} m: two publishers, or two "
-        "clocks"
-    ]
+        return odom, []
+    jumping = f"{name} jumps at {jumps.mean():.0%} of its messages, by up to {moved[jumps].max():.2f} m"
+    times = (odom.stamps - odom.stamps[0]) / 1e9
+    index = of_one_publisher(times, odom.values[:, :3])
+    if index is None:
+        return odom, [f"{jumping}: two publishers, or two clocks"]
+    values = odom.values[index]
+    if name.startswith("/tf "):  # its twists were derived from the poses of both
+        values[:, 3:] = twists_of(times[index], values[:, :3])
+    n = len(index), len(times) - len(index)
+    what = f"two publishers, whose {n[0]} and {n[1]} poses alternate: those of the first were used"
+    return replace(odom, stamps=odom.stamps[index], values=values), [f"{jumping}: {what}"]
 
 
 def _tf_odometry(robot: RobotFrames, named: str | None) -> tuple[Track | None, str | None]:
