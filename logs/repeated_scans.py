@@ -13,10 +13,10 @@ import numpy as np
 from logs.notes import with_note
 from logs.run import Run
 from logs.transforms import interpolate, wrap
-from logs.types import Bools, Ints
+from logs.types import Bools, Floats, Ints
 
 MOVED = 0.05
-"""[m, rad] motion during equal scans above which they are repeated; smaller ones move no reading by more than noise."""
+"""[m, rad] motion during equal scans, in total, above which they are repeated."""
 MIN_RETURNS = 10
 """Scans with fewer returns may be equal by chance."""
 MIN_UNKNOWN = 5
@@ -25,20 +25,18 @@ MIN_UNKNOWN = 5
 
 def blank_repeated(run: Run) -> Run:
     """Return the run with all readings of repeated scans invalid (nan), with a note; such a scan states nothing."""
-    equal = _equal_to_previous(run)
+    equal = equal_to_previous(run.ranges)
     if not equal.any() or run.sensor.is_composite:
         return run
     starts = np.flatnonzero(np.diff(equal.astype(np.int8), prepend=0) == 1)
     ends = np.flatnonzero(np.diff(equal.astype(np.int8), append=0) == -1)
-    lost = [np.arange(a, b + 1) for a, b in zip(starts, ends, strict=True) if _moves(run, int(a) - 1, int(b))]
-    index: Ints = np.concatenate([*lost, np.zeros(0, dtype=np.intp)])
-    if lost:
+    if _way(run, starts - 1, ends) > MOVED:  # so the driver repeats scans, and all equal ones are repeated
         ranges = run.ranges.copy()
-        ranges[index] = np.nan
-        longest = max(float(run.stamps[part[-1]] - run.stamps[part[0] - 1]) for part in lost)
+        ranges[equal] = np.nan
+        longest = float((run.stamps[ends] - run.stamps[starts - 1]).max())
         text = (
-            f"{len(index)} scans repeat the one before in every ray although the robot moves, for up to {longest:.1f} s: "
-            "the driver was stuck, their readings were left out"
+            f"{int(equal.sum())} scans repeat the one before in every ray although the robot moves, for up to {longest:.1f} s: "
+            "the driver was stuck, or sends scans again: their readings were left out"
         )
         return with_note(replace(run, ranges=ranges), text)
     has_motion = len(run.odom_stamps) > 1 or len(run.pose_stamps) > 1
@@ -49,21 +47,22 @@ def blank_repeated(run: Run) -> Run:
     return run
 
 
-def _equal_to_previous(run: Run) -> Bools:
-    """Return whether each scan (n_scans,) equals the one before in every ray, and has returns."""
-    out = np.zeros(run.n_scans, dtype=np.bool_)
-    if run.n_scans > 1:
-        before, after = run.ranges[:-1], run.ranges[1:]
+def equal_to_previous(ranges: Floats) -> Bools:
+    """Return whether each scan (n_scans,) of ranges (n_scans, n_rays) equals the one before, and has returns."""
+    out = np.zeros(len(ranges), dtype=np.bool_)
+    if len(ranges) > 1:
+        before, after = ranges[:-1], ranges[1:]
         same = (before == after) | (np.isnan(before) & np.isnan(after))
         out[1:] = same.all(axis=1) & (np.isfinite(after).sum(axis=1) >= MIN_RETURNS)
     return out
 
 
-def _moves(run: Run, first: int, last: int) -> bool:
-    """Return whether the robot moves from one scan to another, by the odometry or else by the poses."""
+def _way(run: Run, first: Ints, last: Ints) -> float:
+    """Return how far the robot moves [m, or rad] from scans (n,) to others (n,), in total, by the odometry or else by the poses."""
     tracks = ((run.odom_stamps, run.odometry), (run.pose_stamps, run.poses))
     stamps, poses = next(((at, values) for at, values in tracks if len(at) > 1), (None, None))
     if stamps is None or poses is None:
-        return False
-    a, b = interpolate(run.stamps[[first, last]], stamps, poses)
-    return bool(np.hypot(*(b - a)[:2]) > MOVED or abs(wrap(b[2] - a[2])) > MOVED)
+        return 0.0
+    moved = interpolate(run.stamps[last], stamps, poses) - interpolate(run.stamps[first], stamps, poses)
+    ways = np.column_stack([np.hypot(moved[:, 0], moved[:, 1]), np.abs(wrap(moved[:, 2]))])
+    return float(np.nansum(ways, axis=0).max())

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from logs.errors import LogError
+from logs.sweep import differs
 from logs.types import Floats
 
 MAX_TURNS = 2
@@ -121,3 +122,28 @@ def bend(ranges: Floats, bearings: Floats) -> float:
         sagitta = np.abs(((middle - first) / (last - first)).imag)
     sagitta = sagitta[np.isfinite(sagitta)]
     return float(np.quantile(sagitta, 0.25)) if len(sagitta) else np.inf
+
+
+def seconds_to_first_ray(
+    stated: Floats, stated_increment: float, bearings: Floats, increment: float
+) -> float:
+    """Return the time [s] from the first ray of a scan to the first of other bearings, to which it is resampled.
+
+    The stamp of a scan is the time of its own first ray. 0 if the two do not rotate alike, or if the rays of neither lie
+    between those of the other, so that one stamp does not suffice.
+
+    Parameters
+    ----------
+    stated, stated_increment : (n,) [rad] bearings of the scan, and the time [s] between its rays
+    bearings, increment : (m,) [rad] bearings to which it is resampled, and the time [s] between them
+    """
+    if len(stated) < 2 or len(bearings) < 2 or not (np.isfinite(increment) and np.isfinite(stated_increment)):
+        return 0.0
+    steps = (stated[-1] - stated[0]) / (len(stated) - 1), (bearings[-1] - bearings[0]) / (len(bearings) - 1)
+    per_angle = stated_increment / steps[0], increment / steps[1]  # [s/rad]
+    if per_angle[0] == 0 or differs(*per_angle):
+        return 0.0
+    slack = max(map(abs, steps))
+    one, other = (np.sort(ends[[0, -1]]) for ends in (stated, bearings))
+    is_inside = any(a[0] >= b[0] - slack and a[1] <= b[1] + slack for a, b in ((one, other), (other, one)))
+    return float(per_angle[0] * (bearings[0] - stated[0])) if is_inside else 0.0

@@ -14,7 +14,7 @@ from logs.repeated_scans import blank_repeated
 from logs.ros import own_record
 from logs.ros.composite import combine, join_restarted
 from logs.ros.laser_messages import as_laser_scans
-from logs.ros.laser_scan import LaserScans, ShapeCensus, check_sweep, order_rays, read_scans
+from logs.ros.laser_scan import LaserScans, ShapeCensus, order_rays, read_scans
 from logs.ros.poses import (
     BASE_FRAMES,
     FLOOR_FRAME,
@@ -40,14 +40,15 @@ from logs.ros.recording import (
     transform_tree,
 )
 from logs.ros.stamps import settle_clocks, without_repeats
+from logs.ros.stated_sweep import check_sweep
 from logs.ros.transform_tree import TransformTree
 from logs.run import RangeSensor, Run
+from logs.sensor import scan_period
 from logs.transforms import Stamps
 from logs.types import Floats, Mounts
 
-MIN_UPRIGHT_COSINE = 0.98  # cosine of the maximum tilt (11°) of a level laser
-MAX_LISTED = 4
-"""Number of unused sensors that a note lists."""
+MIN_UPRIGHT_COSINE, MAX_LISTED = 0.98, 4
+"""Cosine of the maximum tilt (11°) of a level laser, and the number of unused sensors that a note lists."""
 
 
 def to_run(
@@ -362,8 +363,7 @@ def _assemble(
     scans = reading.scans
     tracks = [scans.stamps, *(part.stamps for part in (pose, odom, command) if part is not None)]
     epoch = min(int(stamps[0]) for stamps in tracks if len(stamps))
-    steps = np.diff(scans.stamps)
-    period = float(np.median(steps)) / 1e9 if len(steps) else 0.0
+    period = scan_period(scans.stamps) / 1e9
     period = period if period > 0 else scans.scan_time if 0 < scans.scan_time < np.inf else 0.1
     none = np.zeros(0, dtype=np.int64)
     poses = pose.values if pose is not None else np.zeros((0, 3))

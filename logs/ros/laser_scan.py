@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.clocks import UNITS
 from logs.error_codes import blank_error_codes
 from logs.errors import LogError
 from logs.intensities import is_varied
@@ -25,9 +24,16 @@ from logs.no_return import (
 from logs.range_limits import beyond_text, lower_limit
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.ros import cdr
-from logs.ros.bearings import are_contradictory, are_degrees, bearings_of, check_filtered, stated_bearings
+from logs.ros.bearings import (
+    are_contradictory,
+    are_degrees,
+    bearings_of,
+    check_filtered,
+    seconds_to_first_ray,
+    stated_bearings,
+)
 from logs.ros.recording import Topic, logged_times, sort_stamps
-from logs.sweep import LIMITS, differs
+from logs.sensor import scan_period
 from logs.transforms import Stamps
 from logs.types import Floats
 
@@ -204,6 +210,12 @@ def _sensor_scans(
     else:
         bearings, angle_notes = main.bearings_and_notes()
     index = np.concatenate([part for group in groups.values() for part in group.index])
+    stamps, period = stamps.copy(), scan_period(np.sort(stamps[index]))
+    for group in groups.values():
+        later = 1e9 * seconds_to_first_ray(group.bearings(), group.limits[3], bearings, limits[3])
+        own = np.concatenate(group.index)
+        if abs(later) <= period:
+            stamps[own] += np.where(stamps[own] != 0, round(later), 0)
     ranges = np.concatenate([
         np.concatenate(group.ranges)
         if shape == most
@@ -311,58 +323,6 @@ def clean_ranges(
     notes += filter(None, invalid)
     notes += [f"{count} ranges {what}" for what, count in counts.items() if count]
     return range_min, range_max, no_return
-
-
-def check_sweep(scans: LaserScans) -> None:
-    """Correct the unit of `time_increment` and `scan_time`, in place, with a note.
-
-    A sweep takes at most the scan period. If it does so in milliseconds, microseconds or nanoseconds, the field is in this
-    unit; if `time_increment` itself is the period, it is the duration of the sweep. Any other longer sweep becomes 0.
-    """
-    steps = np.diff(scans.stamps)
-    period = float(np.median(steps)) / 1e9 if len(steps) else 0.0
-    n = len(scans.bearings)
-    unit = _unit(scans.scan_time, period) if period > 0 else None
-    if unit is not None:
-        both = 0 < abs(scans.time_increment) * n * unit <= LIMITS.max_periods * period
-        fields = f"scan_time {scans.scan_time:.6g}" + (
-            f" and time_increment {scans.time_increment:.6g} are" if both else " is"
-        )
-        scans.notes.append(f"{fields} in {UNITS[unit]}, as a scan is taken every {period:.3g} s: rescaled")
-        scans.scan_time *= unit
-        scans.time_increment *= unit if both else 1.0
-    sweep = abs(scans.time_increment) * n
-    if np.isfinite(sweep) and not (period > 0 and sweep > LIMITS.max_periods * period):
-        return
-    stated, text = (
-        scans.time_increment,
-        f"{n} rays would take {sweep:.3g} s of the {period:.3g} s between scans",
-    )
-    turns = (scans.scan_time, period) if np.isfinite(sweep) else ()
-    whole = next((turn for turn in turns if turn > 0 and not differs(abs(stated), turn)), None)
-    unit = _unit(sweep, period) if np.isfinite(sweep) else None
-    if whole is not None:
-        scans.time_increment = stated / n
-        what = f"is the duration of a whole scan: {scans.time_increment:.3g} s was used"
-    elif unit is not None:
-        scans.time_increment = stated * unit
-        what = f"is in {UNITS[unit]}: {scans.time_increment:.3g} s was used"
-    else:
-        scans.time_increment = 0.0
-        what = "is invalid: 0 was used"
-    scans.notes.append(f"time_increment {stated:.3g} s, with which {text}, {what}")
-
-
-def _unit(duration: float, period: float) -> float | None:
-    """Return the unit [s] in which a duration is written, from the scan period [s] that it fills; None: the second.
-
-    A duration of a thousandth may be right, so that it counts as one in thousands of seconds only if it fills the period.
-    """
-    for unit in UNITS:
-        share = abs(duration) * unit / period
-        if LIMITS.min_share < share < LIMITS.max_periods and (unit < 1 or not differs(share, 1.0)):
-            return unit
-    return None
 
 
 def order_rays(scans: LaserScans, *, upside_down: bool) -> None:

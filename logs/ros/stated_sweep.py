@@ -1,0 +1,63 @@
+"""Correct the durations that the driver of a laser states: of a scan, and between two rays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.clocks import UNITS
+from logs.repeated_scans import equal_to_previous
+from logs.ros.laser_scan import LaserScans
+from logs.sensor import scan_period
+from logs.sweep import LIMITS, differs
+
+
+def check_sweep(scans: LaserScans) -> None:
+    """Correct the unit of `time_increment` and `scan_time`, in place, with a note.
+
+    A sweep takes at most the scan period. If it does so in milliseconds, microseconds or nanoseconds, the field is in this
+    unit; if `time_increment` itself is the period, it is the duration of the sweep. Any other longer sweep becomes 0.
+    Scans that repeat the one before do not count for the period.
+    """
+    period = scan_period(scans.stamps[~equal_to_previous(scans.ranges)]) / 1e9
+    n = len(scans.bearings)
+    unit = _unit(scans.scan_time, period) if period > 0 else None
+    if unit is not None:
+        both = 0 < abs(scans.time_increment) * n * unit <= LIMITS.max_periods * period
+        fields = f"scan_time {scans.scan_time:.6g}" + (
+            f" and time_increment {scans.time_increment:.6g} are" if both else " is"
+        )
+        scans.notes.append(f"{fields} in {UNITS[unit]}, as a scan is taken every {period:.3g} s: rescaled")
+        scans.scan_time *= unit
+        scans.time_increment *= unit if both else 1.0
+    sweep = abs(scans.time_increment) * n
+    if np.isfinite(sweep) and not (period > 0 and sweep > LIMITS.max_periods * period):
+        return
+    stated, text = (
+        scans.time_increment,
+        f"{n} rays would take {sweep:.3g} s of the {period:.3g} s between scans",
+    )
+    turns = (scans.scan_time, period) if np.isfinite(sweep) else ()
+    whole = next((turn for turn in turns if turn > 0 and not differs(abs(stated), turn)), None)
+    unit = _unit(sweep, period) if np.isfinite(sweep) else None
+    if whole is not None:
+        scans.time_increment = stated / n
+        what = f"is the duration of a whole scan: {scans.time_increment:.3g} s was used"
+    elif unit is not None:
+        scans.time_increment = stated * unit
+        what = f"is in {UNITS[unit]}: {scans.time_increment:.3g} s was used"
+    else:
+        scans.time_increment = 0.0
+        what = "is invalid: 0 was used"
+    scans.notes.append(f"time_increment {stated:.3g} s, with which {text}, {what}")
+
+
+def _unit(duration: float, period: float) -> float | None:
+    """Return the unit [s] in which a duration is written, from the scan period [s] that it fills; None: the second.
+
+    A duration of a thousandth may be right, so that it counts as one in thousands of seconds only if it fills the period.
+    """
+    for unit in UNITS:
+        share = abs(duration) * unit / period
+        if LIMITS.min_share < share < LIMITS.max_periods and (unit < 1 or not differs(share, 1.0)):
+            return unit
+    return None
