@@ -21,60 +21,16 @@ from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.course import Steps, with_course
 from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.half_angle import heading_factor, heading_note, with_heading
 from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.odometry_settings import CHECK, OdometryCheckSettings
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.types import Floats
 
-
-@dataclass(frozen=True, kw_only=True)
-class OdometryCheckSettings:
-    """Thresholds of the check."""
-
-    n_scans: int = 120
-    """Number of scans of the segment that is tracked by the scans alone."""
-    min_turn: float = 0.7
-    """[rad] Minimum turn by the scans for a comparison of turns."""
-    min_distance: float = 1.0
-    """[m] Minimum distance by the scans for a comparison of distances."""
-    every: int = 4
-    """Number of scans of a step, so that the noise of a match is small against its motion."""
-    min_matched: float = 0.9
-    """Minimum share of matched scans."""
-    tolerance: float = 0.35
-    """Maximum deviation from the factor of a unit, in the logarithm."""
-    opposite: float = -0.6
-    """Correlation of the turns below which one of the two is mirrored."""
-    moving_turn: float = 0.05
-    """[rad] Minimum turn of a step by the scans for a step-by-step comparison."""
-    moving_distance: float = 0.05
-    """[m] Minimum distance of a step by the scans for a step-by-step comparison."""
-    max_ratio: float = 3.0
-    """Maximum ratio of such a step between odometry and scans, and its inverse."""
-    min_agreeing: float = 0.5
-    """Minimum share of such steps within this ratio; below, the odometry is not used."""
-    min_moving: int = 5
-    """Minimum number of such steps for a step-by-step comparison."""
-    max_direction: float = 0.5
-    """[rad] Maximum angle between the motion by the scans and by the odometry, for a stated mount."""
-    noted_direction: float = 0.035
-    """[rad] A smaller angle between these motions is not worth a note ..."""
-    noted_errors: float = 4.0
-    """... nor one of fewer standard errors."""
-    max_unexplained: float = 0.6
-    """Maximum error of a step, relative to its length, for a comparison of directions."""
-    min_error: float = 0.02
-    """Error of a step, relative to its length, below which it counts fully."""
-    lever: float = 0.3
-    """[m] Standard deviation of the distance of a laser of unknown mount from the robot's centre."""
-    right_angle: float = 0.1
-    """[rad] A mount with an unknown yaw within this of a multiple of 90° has exactly that yaw."""
-
-
-CHECK = OdometryCheckSettings()
 N_REWEIGHTED = 15
 """Number of reweighted fits of a direction; it settles within ten."""
 MAX_RADIANS = 7.0
@@ -104,14 +60,13 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
         run, motion = _scaled(run, mended, 1.0, 1.0), mended
     odometry = odometry_at_scans(run, motion)
     way_factor = turn_factor = 1.0
-    moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
     turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
     if turns is not None and np.abs(turns.seen[:, 2]).sum() > s.min_turn:
         seen, driven = turns.seen[:, 2], turns.driven[:, 2]
         turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
         is_opposite = _correlation(seen, driven) < s.opposite
         if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
-            ways = _compared(run, odometry, moved, [0, 1], s)
+            ways = _ways(run, motion, 1.0, s)
             raise SensorgraphError(
                 _opposite_text(None if ways is None else _direction(ways.seen, ways.driven, s))
             )
@@ -119,7 +74,7 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
             if turns.confirms_odometry:
                 return run, (_confirmed("turns"),)
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
-    ways = _compared(run, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], s)
+    run, motion, ways = _along_course(run, motion, turn_factor, notes, s)
     direction = None if ways is None else _direction(ways.seen, ways.driven, s)
     limit = s.max_direction if _has_stated_mount(run) else s.right_angle
     if direction is not None and abs(direction[0]) > max(limit, 3.0 * direction[1]):
@@ -184,6 +139,26 @@ def _with_heading(run: Run, motion: Motion, notes: list[str], settings: Odometry
         return motion
     notes.append(heading_note(factor))
     return replace(motion, poses=with_heading(motion.poses, factor))
+
+
+def _along_course(
+    run: Run, motion: Motion, turn_factor: float, notes: list[str], settings: OdometryCheckSettings
+) -> tuple[Run, Motion, _Stretch | None]:
+    """Return the odometry with its heading along its course where the scans confirm this, and the stretch of most motion."""
+    s = settings
+    ways = _ways(run, motion, turn_factor, s)
+    direction = None if ways is None else _direction(ways.seen, ways.driven, s)
+    if ways is None or (direction is not None and abs(direction[0]) < s.noted_direction):
+        return run, motion, ways
+    steps = Steps(
+        stamps=ways.stamps[:: s.every], seen=ways.seen, moving=s.moving_distance, fewest=s.min_moving
+    )
+    found = with_course(motion, turn_factor, steps)
+    if found is None:
+        return run, motion, ways
+    motion, note = found
+    notes.append(note)
+    return _scaled(run, motion, 1.0, 1.0), motion, _ways(run, motion, turn_factor, s)
 
 
 def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) -> tuple[float, float] | None:
@@ -307,6 +282,13 @@ def _compared(
     return _Stretch(
         scans=scans, stamps=run.stamps[stretch], poses=unwrapped, odometry=odometry[stretch], every=s.every
     )
+
+
+def _ways(run: Run, motion: Motion, turn_factor: float, settings: OdometryCheckSettings) -> _Stretch | None:
+    """Return the stretch of the longest distance by the odometry, its heading times a factor."""
+    odometry = odometry_at_scans(run, motion)
+    moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
+    return _compared(run, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], settings)
 
 
 def _as_logged(run: Run) -> Motion | None:
