@@ -9,6 +9,7 @@ from benchmarks.fuzz.structure.draft import Draft
 from benchmarks.fuzz.structure.kinds_clocks import CLOCKS
 from benchmarks.fuzz.structure.kinds_counts import COUNTS
 from benchmarks.fuzz.structure.kinds_frames import FRAMES
+from benchmarks.fuzz.structure.kinds_nodes import NODES
 from benchmarks.fuzz.structure.kinds_rays import RAYS
 from benchmarks.fuzz.structure.kinds_topics import TOPICS
 from benchmarks.fuzz.structure.kinds_types import TYPES
@@ -46,5 +47,6 @@ KINDS: dict[str, Kind] = {
     **{f"types.{name}": kind for name, kind in TYPES.items()},
     **{f"rays.{name}": kind for name, kind in RAYS.items()},
     **{f"containers.{name}": _in(name) for name in CONTAINERS},
+    **{f"nodes.{name}": kind for name, kind in NODES.items()},
 }
 """Name -> what makes one log of it."""
