@@ -22,7 +22,11 @@ from rosbags.highlevel import AnyReader
 from watching_samples import believing, graph
 
 import logs
+from logs.notes import with_note
+from logs.ros.transform_tree import MOVES
 from sensorgraph.cli import run as cli
+from sensorgraph.cli.watch import _read
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.termination import Terminated
 from sensorgraph.watching.policy import load_policy
 from sensorgraph.watching.watcher import watch_run
@@ -170,6 +174,19 @@ def test_a_run_of_another_laser_is_refused_and_writes_nothing(
     assert "built with this laser" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other.mcap"]
     assert np.isfinite(other.ranges).all()
+
+
+def test_a_mount_that_robot_yaml_states_replaces_one_that_moves(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pans = with_note(room_run(loop_poses(3)), f"{MOVES}20 degrees")
+    monkeypatch.setattr("logs.read", lambda *_, **__: pans)
+    robot = tmp_path / "robot.yaml"
+    rays = "angle_min: -180 deg, angle_max: 177 deg, n_rays: 120"
+    robot.write_text(f"name: r\nsensor: {{{rays}, mount: [0.1, 0.0, 0.0]}}\n")
+    with pytest.raises(SensorgraphError, match="the laser moves on the robot"):
+        _read(tmp_path / "pans.mcap", {}, None)
+    assert _read(tmp_path / "pans.mcap", {}, robot).sensor.mount == pytest.approx([0.1, 0.0, 0.0])
 
 
 @pytest.mark.slow

@@ -152,8 +152,9 @@ def _read(path: Path, reading: dict[str, Any], robot: Path | None) -> Run:
 
     with reading_bar() as tick:
         run = read(path, **reading, progress=tick)
-    check_ranges(run, path.name)
-    return with_robot(run, path.name, robot)
+    stated = with_robot(run, path.name, robot)  # a robot's mount replaces one that moves
+    check_ranges(stated, path.name)
+    return stated
 
 
 def _statuses(model: Any, run: Run, limits: WatchPolicy) -> Iterator[WatchStatus]:
