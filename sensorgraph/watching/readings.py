@@ -26,7 +26,7 @@ from sensorgraph.models.base import Prediction
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.likelihood import information_share
+from sensorgraph.models.likelihood import MIN_DENSITY, information_share
 from sensorgraph.sensor_model import ray_likelihoods
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.watching.settings import READINGS, ReadingPriors
@@ -43,6 +43,10 @@ class ReadingEvidence:
     """(n_poses, n_rays) whether the graph answers the ray and the reading is not broken."""
     fits: Floats
     """(n_poses, n_rays) probability that the graph predicts the reading."""
+    read: Bools
+    """(n_rays,) whether the reading is not broken."""
+    predicted: float
+    """Prior share of readings that the graph can predict."""
 
     @property
     def answered(self) -> Floats:
@@ -91,13 +95,13 @@ class GraphReadings:
         return float(known.sum()) * side**2
 
     def evidence(
-        self, ranges: Floats, poses: Floats, which: Ints | None = None, *, answered: Bools | None = None
+        self, ranges: Floats, poses: Floats, which: Ints | None = None, *, expected: Prediction | None = None
     ) -> ReadingEvidence:
         """Return the evidence of a scan (n_rays,) [m] at poses (n_poses, 3), for `rays` or some positions among them.
 
         Parameters
         ----------
-        answered : (n_poses, n_rays) Whether the graph answers these rays; None: it is asked.
+        expected : Prediction of these rays at the poses; None: it is computed.
         """
         which = np.arange(len(self.rays)) if which is None else which
         z = ranges[self.rays[which]]
@@ -108,14 +112,15 @@ class GraphReadings:
         starts, own = self.graph_poses(poses), self.own[which]
         if self.graph.sensor.is_composite:
             starts = to_ray_starts(starts[:, None], self.graph.sensor, self.graph.pose_frame)[:, own]
-        found, _ = ray_likelihoods(self.graph, z[None], starts, own)
-        if answered is None:
-            answered = self.graph.predict(self.graph_poses(poses), rays=own).answered
-        s, known = self.priors.predicted, answered & ~np.isnan(z)
+        if expected is None:
+            expected = self.graph.predict(self.graph_poses(poses), rays=own)
+        found = self._log_density(z[None], starts, own, expected)
+        s, known = self.priors.predicted, expected.answered & ~np.isnan(z)
         ratios = np.where(
             known, np.logaddexp(math.log(s) + found - self.log_anywhere(z), math.log(1 - s)), 0.0
         )
-        return ReadingEvidence(ratios=ratios, known=known, fits=1.0 - (1.0 - s) * np.exp(-ratios))
+        fits = 1.0 - (1.0 - s) * np.exp(-ratios)
+        return ReadingEvidence(ratios=ratios, known=known, fits=fits, read=~np.isnan(z), predicted=s)
 
     def n_independent(self, ranges: Floats) -> float:
         """Return the number of independent readings of a scan (n_rays,) [m] among those that weigh poses."""
@@ -129,6 +134,20 @@ class GraphReadings:
     def predict(self, pose: Floats) -> Prediction:
         """Return the prediction of `rays` at one pose (3,)."""
         return self.graph.predict(self.graph_poses(pose[None]), rays=self.own)
+
+    def _log_density(self, z: Floats, starts: Floats, own: Ints, expected: Prediction) -> Floats:
+        """Return the log-density (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m] that this laser may have."""
+        found, _ = ray_likelihoods(self.graph, z, starts, own)
+        if self.sensor.range_max >= self.graph.sensor.range_max:
+            return found
+        return np.where(np.isposinf(z), np.log(np.maximum(self._missing(expected), MIN_DENSITY)), found)
+
+    def _missing(self, expected: Prediction) -> Floats:
+        """Return the probability (n_poses, n_rays) of no return within the reach of this laser."""
+        none = expected.p_no_return
+        if self.sensor.range_max >= self.graph.sensor.range_max:
+            return none
+        return np.asarray(1.0 - (1.0 - none) * expected.cdf(self.sensor.range_max))
 
     def log_anywhere(self, z: Floats) -> Floats:
         """Return the log-density of readings (n,) [m] from anywhere in the place."""
@@ -145,18 +164,20 @@ class GraphReadings:
         cells = np.argwhere(known)
         cells = cells[rng.integers(len(cells), size=self.priors.n_anywhere)]
         poses = np.column_stack([corner + (cells + 0.5) * side, rng.uniform(-np.pi, np.pi, len(cells))])
-        found = self.graph.predict(poses, rays=self.own[self.of_pose])
+        repeated = max(round(0.5 / self.priors.independent), 1)  # neighbouring rays show little that is new
+        rays = self.own[self.of_pose][::repeated]
+        found = self.graph.predict(poses, rays=rays)
         z = found.ranges[found.answered]
         top = self.sensor.range_max
         self._edges = np.concatenate([[0.0], np.geomspace(0.3, max(top, 1.0), 30)])
-        counts = np.histogram(z[np.isfinite(z)], self._edges)[0] + 1.0
-        none = float(found.p_no_return[found.answered].sum()) + 1.0
+        counts = np.histogram(z[z < top], self._edges)[0] + 1.0
+        none = float(self._missing(found)[found.answered].sum()) + 1.0
         total = counts.sum() + none
         self._density = counts / total / np.diff(self._edges)
         self._none = max(none / total, 0.02)
-        rays = self.own[self.of_pose]
         drawn = self.graph.sample(poses, 1, 0, rays=rays, residual_memory=False)[0]
-        density, _ = ray_likelihoods(self.graph, drawn, poses, rays)
+        drawn = np.where(drawn >= top, np.inf, drawn)
+        density = self._log_density(drawn, poses, rays, found)
         s = self.priors.predicted
         ratios = np.logaddexp(math.log(s) + density - self.log_anywhere(drawn), math.log(1 - s))
         return float(ratios[found.answered].mean())
