@@ -136,10 +136,50 @@ def test_without_a_belief_the_robot_is_found() -> None:
     assert np.hypot(*(end.pose.pose - poses[round(5 * end.t)])[:2]) < 0.05
 
 
-def test_scans_of_another_place_are_lost() -> None:
-    other = [(-1.0, -9.0, 15.0, -9.0), (15.0, -9.0, 9.0, 7.0), (9.0, 7.0, -4.0, 4.0), (-4.0, 4.0, -1.0, -9.0)]
-    poses = np.column_stack([np.linspace(0, 3, 60), np.zeros(60), np.zeros(60)])
-    assert last(room_run(poses, seed=7, walls=other)).pose.status in ("lost", "ambiguous")
+SLANTED = [(-1.0, -9.0, 15.0, -9.0), (15.0, -9.0, 9.0, 7.0), (9.0, 7.0, -4.0, 4.0), (-4.0, 4.0, -1.0, -9.0)]
+OFFICE = [
+    (0.0, 0.0, 6.6, 0.0), (6.6, 0.0, 6.6, 5.4), (6.6, 5.4, 0.0, 5.4), (0.0, 5.4, 0.0, 0.0), (0.4, 4.4, 1.6, 4.4), (1.6, 4.4, 1.6, 5.0),
+]  # fmt: skip
+"""Rooms other than that of the graph; the second has right angles as well, and about its size."""
+
+
+@pytest.mark.parametrize("is_believed", [False, True])
+@pytest.mark.parametrize("walls", [SLANTED, OFFICE])
+def test_a_robot_in_another_room_is_lost_whatever_it_believes(
+    walls: list[tuple[float, float, float, float]], is_believed: bool
+) -> None:
+    t = np.linspace(0.0, 5.0, 100)
+    poses = np.column_stack([3.2 + 1.5 * np.cos(t), 2.6 + 1.5 * np.sin(t), t + np.pi / 2])
+    run = room_run(poses, seed=7, walls=walls)
+    said = list(sg.watch(graph(), believing(run, poses) if is_believed else run))
+    assert {status.pose.status for status in said if status.t > 5.0} == {"lost"}
+
+
+@pytest.mark.parametrize("offset", [-0.05, 0.05])
+def test_a_laser_whose_ranges_are_off_by_centimetres_is_followed(offset: float) -> None:
+    poses = loop_poses(60, laps=0.5)
+    run = room_run(poses, seed=2)
+    said = list(sg.watch(graph(), believing(replace(run, ranges=run.ranges + offset), poses)))
+    assert {status.pose.status for status in said if status.t > 5.0} == {"ok"}
+
+
+def test_a_robot_that_starts_with_a_wrong_belief_is_off_from_where_it_is() -> None:
+    poses = loop_poses(60)
+    said = list(sg.watch(graph(), believing(room_run(poses, seed=6), np.roll(poses, 20, axis=0))))
+    assert {status.pose.status for status in said if status.t > 2.0} == {"off"}
+    assert said[-1].pose.offset[0] == pytest.approx(2.6, abs=0.3)  # a third of a lap is 120°: sqrt(3) * 1.5 m
+
+
+def test_a_robot_that_was_surrounded_by_people_is_ok_soon_after() -> None:
+    poses = loop_poses(150, laps=1.5)
+    run = room_run(poses, seed=6)
+    ranges = run.ranges.copy()
+    ranges[40:90] = np.minimum(
+        ranges[40:90], np.random.default_rng(0).uniform(0.5, 1.5, (50, run.sensor.n_rays))
+    )
+    said = list(sg.watch(graph(), believing(replace(run, ranges=ranges), poses)))
+    assert any(status.pose.status == "lost" for status in said if 8.0 < status.t < 18.0)
+    assert {status.pose.status for status in said if status.t > 18.0 + 4.0} == {"ok"}
 
 
 def test_a_stopped_pose_a_clock_that_goes_back_and_a_foreign_scan_are_noted_and_it_goes_on() -> None:

@@ -41,6 +41,31 @@ STEPS = 4
 """Number of weightings of the rays of a scan."""
 
 
+class RangeOffset:
+    """Follows an offset of the ranges, with the prior of this fault, so that a laser that errs is not a robot that is lost."""
+
+    def __init__(self) -> None:
+        self.value = 0.0
+        """[m]"""
+        self._variance = LASER_FAULTS[0].size ** 2
+
+    def add(self, residuals: Floats, share: float, weight: float) -> None:
+        """Take the residuals (n_rays,) [m] of a scan, less the offset so far.
+
+        Parameters
+        ----------
+        share : Share of independent readings.
+        weight : Share of new evidence in the scan.
+        """
+        near = residuals[np.abs(residuals) < MOST_RESIDUAL]
+        if len(near) < 20 or weight <= 0.0:
+            return
+        variance = (MEDIAN_TO_MEAN * NOISE) ** 2 / (weight * share * len(near))
+        gain = self._variance / (self._variance + variance)
+        self.value += gain * float(np.median(near))
+        self._variance = max(self._variance * (1.0 - gain), LASER_FAULTS[0].tolerance ** 2)
+
+
 class RangeErrors:
     """Collects the normal equations of offset and scale."""
 

@@ -15,6 +15,7 @@ from sensorgraph.localization.matching import Match, match
 from sensorgraph.localization.wheels import slip_of
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
+from sensorgraph.watching.resemblance import resemblance_of
 from sensorgraph.watching.scan_input import ScanInput, apart
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 
@@ -28,7 +29,9 @@ class Mode:
     covariance: Floats
     """(3, 3)"""
     score: float
-    """Logarithm of the probability."""
+    """Logarithm of the probability that the robot is here."""
+    alike: float = -math.inf
+    """Logarithm of the probability that it is at another place, whose scans resemble this pose."""
     number: int
     """Number that stays while the mode is followed."""
     is_belief: bool = False
@@ -55,16 +58,19 @@ class Mode:
         return replace(
             self,
             score=float(np.logaddexp(self.score, other.score)),
+            alike=float(np.logaddexp(self.alike, other.alike)),
             followed=max(self.followed, other.followed),
             is_belief=self.is_belief or other.is_belief,
         )
 
-    def unconfirmed(self, distance: float) -> float:
-        """Return the share (0 to 1) in which the mode may be a place that only resembles the true one.
+    @property
+    def total(self) -> float:
+        """Logarithm of the probability that the robot is here or at a place that resembles it."""
+        return float(np.logaddexp(self.score, self.alike))
 
-        It is confirmed by `distance` [m] over which it was the probable one, or by the robot's belief.
-        """
-        return 0.0 if self.is_belief else 1.0 - self.followed / distance
+    def is_confirmed(self, distance: float) -> bool:
+        """Tell whether the robot's belief supports the mode, or it was the probable one over a distance [m]."""
+        return self.is_belief or self.followed >= distance
 
     def parts(self) -> Floats:
         """Return the middles (7, 3) of equal parts of the distribution, each of a quarter of its covariance.
@@ -136,12 +142,7 @@ def error_of_step(
 
 
 def weighed(
-    modes: Sequence[Mode],
-    found: ReadingEvidence,
-    share: float,
-    weight: float,
-    stay: float,
-    priors: TrackingPriors,
+    modes: Sequence[Mode], found: ReadingEvidence, share: float, weight: float, priors: TrackingPriors
 ) -> list[Mode]:
     """Return the modes weighed by the evidence of a scan.
 
@@ -149,16 +150,10 @@ def weighed(
     ----------
     share : Share of independent readings.
     weight : Share of new evidence in the scan.
-    stay : Log-probability that the robot was not carried away.
     """
     known = np.where(found.known, found.ratios, 0.0)
-    is_followed = np.array([mode.unconfirmed(priors.confirmed) == 0.0 for mode in modes])
-    credit = np.where(is_followed[:, None] & ~found.known, known.max(axis=0), 0.0)
-    gains = share * (known + credit).sum(axis=1)
-    unlike = np.clip(
-        1.0 - found.answered, priors.unlike, 1.0 - priors.unlike
-    )  # the graph may not know the place
-    gains = weight * np.logaddexp(gains, np.log(unlike))
+    confirmed = np.array([mode.is_confirmed(priors.confirmed) for mode in modes])
+    gains = resemblance_of(found, confirmed, share)
     evidence = known.sum(axis=1) / np.maximum(found.known.sum(axis=1), 1)
     out = []
     for k, mode in enumerate(modes):
@@ -167,12 +162,51 @@ def weighed(
         followed = mode.followed + (moved if is_known and mode.score > math.log(0.9) else 0.0)
         out.append(
             replace(
-                mode, score=mode.score + stay + float(gains[k]), answered=answered, evidence=float(evidence[k]),
+                mode, score=mode.score + weight * float(gains.here[k]),
+                alike=mode.alike + weight * float(gains.elsewhere[k]),
+                answered=answered, evidence=float(evidence[k]),
                 alone=max(mode.alone - moved, 0.0) if is_known else mode.alone + moved,
                 followed=min(followed, priors.confirmed),
             )
         )  # fmt: skip
     return out
+
+
+def exchanged(mode: Mode, share: float) -> Mode:
+    """Return a mode after a share of robots was carried away, and as many came back."""
+    stay, change = math.log1p(-share), math.log(share) if share > 0 else -math.inf
+    return replace(
+        mode,
+        score=float(np.logaddexp(mode.score + stay, mode.alike + change)),
+        alike=float(np.logaddexp(mode.alike + stay, mode.score + change)),
+    )
+
+
+def found_scores(main: Mode | None, elsewhere: float, gains: Floats, carried: Floats) -> Floats:
+    """Return `score` and `alike` (2,) of a pose that a search found, before its prior among all places.
+
+    The robot may have been carried there from the most probable mode before any of the scans, or was elsewhere already.
+
+    Parameters
+    ----------
+    main : The most probable mode; None without any.
+    elsewhere : Logarithm of the probability of a place that resembles none of the modes.
+    gains : (n_scans, n_poses, 2) [nats] Evidence of each scan at the pose and at the main mode: for the robot being there, and
+        for a place that resembles it.
+    carried : (n_scans,) Logarithm of the probability that the robot was carried away just before each scan.
+    """
+    if main is None:
+        return np.asarray(elsewhere + gains[:, 0].sum(axis=0))
+    since = np.cumsum((gains[:, 0] - gains[:, 1, :1])[::-1], axis=0)[::-1] + carried[:, None]
+    earlier = main.alike + (gains[:, 0] - gains[:, 1, 1:]).sum(axis=0)
+    return np.asarray(np.logaddexp.reduce(np.vstack([main.score + since, earlier]), axis=0))
+
+
+def found_mode(pose: Floats, scores: Floats, number: int) -> Mode:
+    """Return a mode at a pose (3,) that a search found, with its `score` and `alike` (2,)."""
+    covariance = np.diag(np.array([0.05, 0.05, 0.02]) ** 2)
+    score, alike = scores.tolist()
+    return Mode(pose=pose, covariance=covariance, score=score, alike=alike, number=number, is_matched=True)
 
 
 def _positive(information: Floats) -> Floats:

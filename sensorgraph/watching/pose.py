@@ -2,7 +2,7 @@
 
     P(ok)   = sum of P(mode) P(its pose is within the tolerance of the belief)
     P(off)  = sum of P(mode) P(its pose is outside the tolerance)
-    P(lost) = P(elsewhere)
+    P(lost) = P(elsewhere), which may resemble a mode
 
 Without a belief, the most probable mode is judged alone.
 """
@@ -140,7 +140,7 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
     modes = [replace(mode, pose=compose(mode.pose, ahead)) for mode in tracker.modes]
     main = max(modes, key=lambda mode: mode.score, default=None)
     probabilities = tracker.probabilities
-    p_lost = math.exp(tracker.elsewhere)
+    p_lost = tracker.p_elsewhere
     if main is None:
         return PoseStatement(
             status="lost", p=1.0, pose=None, deviations=np.full(3, np.inf), offset=(0.0, 0.0),

@@ -43,6 +43,8 @@ class ReadingEvidence:
     """(n_poses, n_rays) whether the graph answers the ray and the reading is not broken."""
     fits: Floats
     """(n_poses, n_rays) probability that the graph predicts the reading."""
+    residuals: Floats
+    """(n_poses, n_rays) [m] Reading less the predicted one."""
     read: Bools
     """(n_rays,) whether the reading is not broken."""
     predicted: float
@@ -120,7 +122,11 @@ class GraphReadings:
             known, np.logaddexp(math.log(s) + found - self.log_anywhere(z), math.log(1 - s)), 0.0
         )
         fits = 1.0 - (1.0 - s) * np.exp(-ratios)
-        return ReadingEvidence(ratios=ratios, known=known, fits=fits, read=~np.isnan(z), predicted=s)
+        with np.errstate(invalid="ignore"):
+            residuals = z - expected.ranges
+        return ReadingEvidence(
+            ratios=ratios, known=known, fits=fits, residuals=residuals, read=~np.isnan(z), predicted=s
+        )
 
     def n_independent(self, ranges: Floats) -> float:
         """Return the number of independent readings of a scan (n_rays,) [m] among those that weigh poses."""

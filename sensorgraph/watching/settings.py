@@ -34,7 +34,7 @@ class TrackingPriors:
     """Motion of the robot and of its errors."""
 
     carried: float = 1.0 / 36_000.0
-    """[1/s] Rate at which a robot is carried away, or its tracking fails: once in 10 hours."""
+    """[1/s] Rate at which a robot is carried away or back, or its tracking fails: once in 10 hours."""
     belief: float = 0.01
     """Prior probability that the robot is right where it contradicts the tracking."""
     start: float = 0.9
@@ -81,11 +81,6 @@ class TrackingPriors:
     """[m] Distance driven outside what the graph knows after which the believed pose is as probable as ours."""
     confirmed: float = 3.0
     """[m] Distance over which a mode must have been the probable one to go on where the graph does not answer its rays."""
-    unlike: float = 0.05
-    """Least probability that the graph does not know the surroundings of a scan; otherwise its share of unanswered rays."""
-    alike: float = 0.25
-    """Share of the usual evidence that a scan of another place has at the best pose of this one: walls resemble walls. It
-    counts against a mode until this was followed over `confirmed`."""
     dropped: float = 25.0
     """[nats] A mode that is less probable than the best by more is no longer followed."""
     n_modes: int = 5

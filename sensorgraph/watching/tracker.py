@@ -2,13 +2,14 @@
 
 Each possible pose (a mode) is a normal distribution, which the odometry moves and a match of the scan to the surfaces of
 the graph corrects. Where the scan matches no surfaces, the evidence of the readings corrects it: the mode is a mixture of
-seven parts, which the readings weigh. Their evidence also weighs the modes against "elsewhere", where readings are as
-anywhere in the place. A robot is carried away at a known rate. This is a hidden Markov model; its probabilities are the
+seven parts, which the readings weigh. Their evidence also weighs the mode against another place that resembles it
+(`resemblance`). An offset of all ranges is estimated with the pose. A robot is carried away, or back, at a known rate. This is a hidden Markov model; its probabilities are the
 result. A search of the whole place finds other modes when the evidence stays below the usual one by as much as another
-place could gain. A new mode has the prior of one among all places that can be told apart.
+place could gain. A new mode has half the prior of one among all places that can be told apart. The other half is that of a
+place outside the graph that resembles it.
 
-A ray that the graph does not answer at a mode says nothing against it: it counts as much there as at the best other
-mode. So a robot that drives outside what the graph knows goes on by odometry, with a growing covariance.
+A ray that the graph does not answer says nothing against a mode that was followed: it counts as much there as at the best
+other mode. So a robot that drives outside what the graph knows goes on by odometry, with a growing covariance.
 """
 
 from __future__ import annotations
@@ -28,9 +29,21 @@ from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.seen_space import seen_by_graph
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.kept_scans import KeptScans
-from sensorgraph.watching.modes import Mode, corrected, error_of_step, matched, velocity_of, weighed
+from sensorgraph.watching.laser_errors import RangeOffset
+from sensorgraph.watching.modes import (
+    Mode,
+    corrected,
+    error_of_step,
+    exchanged,
+    found_mode,
+    found_scores,
+    matched,
+    velocity_of,
+    weighed,
+)
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
+from sensorgraph.watching.resemblance import resemblance_of
 from sensorgraph.watching.scan_input import (
     ScanInput,
     apart,
@@ -62,9 +75,10 @@ class PoseTracker:
         """Logarithm of the number of places that can be told apart."""
         self.modes: list[Mode] = []
         self.elsewhere = 0.0
-        """Logarithm of the probability of any other pose."""
+        """Logarithm of the probability of a place that resembles none of the modes."""
         self.usable: Bools = np.ones(len(readings.rays), dtype=np.bool_)
         """Rays whose readings count; those of a blocked sector do not."""
+        self.offset = RangeOffset()
         self.usual = readings.expected
         """[nats] Usual evidence of an answered reading."""
         self.missing = 0.0
@@ -88,6 +102,11 @@ class PoseTracker:
     def probabilities(self) -> Floats:
         """(n_modes,) Probability of each mode; the rest is elsewhere."""
         return np.asarray(np.exp(np.array([mode.score for mode in self.modes])))
+
+    @property
+    def p_elsewhere(self) -> float:
+        """Probability that the robot is at none of the modes."""
+        return math.exp(self.elsewhere) + sum(math.exp(mode.alike) for mode in self.modes)
 
     def is_due(self, observation: Observation) -> bool:
         """Tell whether a scan is far enough from the last one to be used."""
@@ -165,19 +184,20 @@ class PoseTracker:
         s, believed = self.priors, now.observation.believed
         if believed is None:
             return
+        alike = math.log(max(self.p_elsewhere, 1e-300))
         if not self.modes and not self.n_searches:
-            score = math.log(s.start)
-            self.elsewhere = math.log(1.0 - s.start)
+            score, alike = math.log(s.start), math.log(1.0 - s.start)
+            self.elsewhere = -math.inf
         elif any(mode.is_at(believed, self.priors.tolerance) for mode in self.modes):
             return
         else:
-            main = self.main
-            is_alone = main is not None and main.alone > s.alone
+            is_alone = self.main is not None and self.main.alone > s.alone
             score = math.log(0.5 if is_alone else s.belief)
+            alike += score
         covariance = np.diag(np.asarray(s.start_deviations) ** 2)
         mode = Mode(
-            pose=believed, covariance=covariance, score=score, number=next(self._numbers), is_belief=bool(self.modes),
-            followed=0.0 if self.modes else s.confirmed,
+            pose=believed, covariance=covariance, score=score, alike=alike, number=next(self._numbers),
+            is_belief=bool(self.modes), followed=0.0 if self.modes else s.confirmed,
         )  # fmt: skip
         mode = corrected(mode, matched(self.place, believed, covariance, now))
         kept = [one for one in self.modes if not one.is_at(mode.pose, self.priors.tolerance)]
@@ -187,21 +207,19 @@ class PoseTracker:
     def _weigh(self, now: ScanInput, dt: float) -> None:
         """Weigh modes and elsewhere by the readings; the robot may have been carried away since the last scan."""
         s = self.priors
-        carried = -math.expm1(-s.carried * dt)
-        inside = float(self.probabilities.sum())
-        self.elsewhere = math.log(math.exp(self.elsewhere) + carried * inside)
-        stay = -s.carried * dt  # log(1 - carried), also after a jump of the clock by years
         if not self.modes:
-            n = self.readings.n_independent(now.observation.ranges)
-            self.missing += now.weight * self.usual * n + 1.0
+            self.missing += (
+                now.weight * self.usual * self.readings.n_independent(now.observation.ranges) + 1.0
+            )
             return
         self.modes = [mode if mode.is_matched else self._corrected(mode, now) for mode in self.modes]
         found = self._evidence(now, np.array([mode.pose for mode in self.modes]))
-        first = int(np.argmax([mode.score for mode in self.modes]))
-        new = self.modes[first].unconfirmed(s.confirmed)
-        alike = new * s.alike * self.usual * float(found.known[first].sum())  # other places resemble this one
-        self.elsewhere += now.weight * self._share(now) * alike
-        self.modes = weighed(self.modes, found, self._share(now), now.weight, stay, s)
+        first = int(np.argmax([mode.total for mode in self.modes]))
+        if self.modes[first].is_matched:
+            self.offset.add(found.residuals[first][found.known[first]], self._share(now), now.weight)
+        carried = -0.5 * math.expm1(-2.0 * s.carried * dt)
+        self.modes = [exchanged(mode, carried) for mode in self.modes]
+        self.modes = weighed(self.modes, found, self._share(now), now.weight, s)
         self._normalise()
         self._count_missing(now)
 
@@ -213,10 +231,9 @@ class PoseTracker:
 
     def _evidence(self, now: ScanInput, poses: Floats) -> ReadingEvidence:
         """Return the evidence of the usable readings of a scan at poses (n, 3)."""
-        of_pose = self.readings.of_pose
-        if self.usable[of_pose].any():  # sectors that cover all rays tell no pose from another
-            of_pose = of_pose[self.usable[of_pose]]
-        return self.readings.evidence(now.observation.ranges, poses, of_pose)
+        all_rays, is_used = self.readings.of_pose, self.usable[self.readings.of_pose]
+        of_pose = all_rays[is_used] if is_used.any() else all_rays  # covered rays tell no pose from another
+        return self.readings.evidence(now.observation.ranges - self.offset.value, poses, of_pose)
 
     def _share(self, now: ScanInput) -> float:
         return self.readings.n_independent(now.observation.ranges) / max(len(self.readings.of_pose), 1)
@@ -257,40 +274,38 @@ class PoseTracker:
         """Add a mode at a pose found by a search, with the evidence of all scans that are kept."""
         if any(mode.is_at(pose, self.priors.tolerance) and mode.is_matched for mode in self.modes):
             return
-        gains, main = [], self.main
+        main, s, gains = self.main, self.priors, []
+        confirmed = np.array([False, main is not None and main.is_confirmed(s.confirmed)])
         for one in self.kept:
             then = compose(invert(self.drift), one.drift)
             known_at = [pose] if main is None else [pose, main.pose]
             found = self._evidence(one, np.array([compose(there, then) for there in known_at]))
-            both = found.ratios[:, found.known.all(axis=0)].sum(axis=1)
-            gains.append(one.weight * self._share(one) * float(both[0] - (0.0 if main is None else both[1])))
-        if main is None:
-            score = self.elsewhere - self.log_places + sum(gains)
-        else:  # the robot may have been carried there before any of these scans
-            stamps = np.array([one.observation.stamp for one in self.kept])
-            spans = np.diff(stamps, prepend=stamps[0] - self.priors.update_period)
-            since = np.cumsum(gains[::-1])[::-1] + np.log(self.priors.carried * np.maximum(spans, 0.1))
-            score = main.score - self.log_places + float(np.logaddexp.reduce(since))
-        covariance = np.diag(np.array([0.05, 0.05, 0.02]) ** 2)
-        self.modes.append(
-            Mode(pose=pose, covariance=covariance, score=score, number=next(self._numbers), is_matched=True)
-        )
+            of_scan = resemblance_of(found, confirmed[: len(known_at)], self._share(one))
+            gains.append(one.weight * np.column_stack([of_scan.here, of_scan.elsewhere]))
+        stamps = np.array([one.observation.stamp for one in self.kept])
+        spans = np.diff(stamps, prepend=stamps[0] - s.update_period)
+        carried = np.log(s.carried * np.maximum(spans, 0.1))
+        scores = found_scores(main, self.elsewhere, np.array(gains), carried)
+        scores -= (
+            math.log(2.0) + self.log_places
+        )  # as probable as a place outside the graph that resembles it
+        self.modes.append(found_mode(pose, scores, next(self._numbers)))
 
     def _prune(self) -> None:
         """Merge modes that have met, and drop those that are improbable."""
         kept: list[Mode] = []
-        s = self.priors
-        for mode in sorted(self.modes, key=lambda one: -one.score):
+        for mode in sorted(self.modes, key=lambda one: -one.total):
             met = next((k for k, one in enumerate(kept) if one.is_at(mode.pose, self.priors.tolerance)), None)
             if met is not None:
                 kept[met] = kept[met].merged(mode)
-            elif not kept or mode.score > kept[0].score - s.dropped:
+            elif not kept or mode.total > kept[0].total - self.priors.dropped:
                 kept.append(mode)
         self.modes = kept[: self.priors.n_modes]
         self._normalise()
 
     def _normalise(self) -> None:
-        scores = np.array([self.elsewhere, *(mode.score for mode in self.modes)])
-        total = float(np.logaddexp.reduce(scores))
-        self.elsewhere = max(self.elsewhere - total, -30.0)
-        self.modes = [replace(mode, score=mode.score - total) for mode in self.modes]
+        total = float(np.logaddexp.reduce([self.elsewhere, *(mode.total for mode in self.modes)]))
+        self.elsewhere -= total
+        self.modes = [
+            replace(mode, score=mode.score - total, alike=mode.alike - total) for mode in self.modes
+        ]
