@@ -121,6 +121,19 @@ def test_one_jump_does_not_make_the_odometry_useless() -> None:
     assert notes == () and len(run.odometry)
 
 
+@pytest.mark.parametrize("part", [slice(0, 35), slice(55, None)], ids=["ends early", "begins late"])
+def test_scans_without_odometry_are_not_compared_with_it(part: slice) -> None:
+    """They are the most, and do not move by the odometry, so that rounding would give their direction."""
+    some = replace(
+        RUN,
+        odom_stamps=RUN.odom_stamps[part],
+        odometry=RUN.odometry[part] + 1e-9,
+        odom_twists=RUN.odom_twists[part],
+    )
+    run, notes = with_checked_odometry(some)
+    assert run is some and notes == ()
+
+
 def test_jumps_that_add_up_to_a_unit_are_no_unit() -> None:
     way, jumped = drive(RUN).sum(), RUN.odometry.copy()
     for at in (30, 60):  # together 3.28 times the way: as if in feet

@@ -60,7 +60,7 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
         run, motion = _scaled(run, mended, 1.0, 1.0), mended
     odometry = odometry_at_scans(run, motion)
     way_factor = turn_factor = 1.0
-    turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
+    turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
     if turns is not None and np.abs(turns.seen[:, 2]).sum() > s.min_turn:
         seen, driven = turns.seen[:, 2], turns.driven[:, 2]
         turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
@@ -131,7 +131,7 @@ def _with_heading(run: Run, motion: Motion, notes: list[str], settings: Odometry
     if factor == 1.0:
         return motion
     odometry = odometry_at_scans(run, motion)
-    turns = _compared(run, odometry, np.abs(np.diff(odometry[:, 2])), [2], settings)
+    turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2], settings)
     if turns is None:
         return motion
     ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2], settings.moving_turn, settings)
@@ -260,16 +260,23 @@ def _turned_text(angle: float, stderr: float) -> str:
 
 
 def _compared(
-    run: Run, odometry: Floats, moved: Floats, parts: list[int], settings: OdometryCheckSettings
+    run: Run,
+    motion: Motion,
+    odometry: Floats,
+    moved: Floats,
+    parts: list[int],
+    settings: OdometryCheckSettings,
 ) -> _Stretch | None:
-    """Return the stretch where `moved` (n_scans - 1,) is largest.
+    """Return the stretch where `moved` (n_scans - 1,) is largest, as far as there is odometry.
 
     None if the scans alone cannot be tracked there, or do not determine these parts of a motion ahead, left and turn.
     """
     s = settings
     total = np.concatenate([[0.0], np.cumsum(moved)])
     first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
-    stretch = slice(first, first + s.n_scans)
+    begin = int(np.searchsorted(run.stamps, motion.stamps[0]))
+    end = int(np.searchsorted(run.stamps, motion.stamps[-1], side="right"))
+    stretch = slice(max(first, begin), min(first + s.n_scans, end))
     scans, found = track_part(run, stretch)
     is_seen = (np.einsum("nii->ni", found.projections)[:, parts] > 0.5).all(axis=1)  # not along a corridor
     if (
@@ -288,7 +295,7 @@ def _ways(run: Run, motion: Motion, turn_factor: float, settings: OdometryCheckS
     """Return the stretch of the longest distance by the odometry, its heading times a factor."""
     odometry = odometry_at_scans(run, motion)
     moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
-    return _compared(run, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], settings)
+    return _compared(run, motion, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], settings)
 
 
 def _as_logged(run: Run) -> Motion | None:
