@@ -18,24 +18,9 @@ RARE_TIMES: Mapping[str, int | float] = {"interlaced_sweeps": 1, "sweep_period":
 """Fields of `RangeSensor` that files contain only if they differ from these defaults."""
 
 
-BURST = 3.0
-"""Ratio of the mean step over ten scans to the median step above which scans arrive in bursts; lost scans reach 2."""
-
-
 def median_step(values: Floats | NDArray[np.int64], otherwise: float) -> float:
     """Return the median step of stamps or bearings (n,), in their unit; `otherwise` for fewer than two."""
     return float(np.median(np.diff(values))) if len(values) > 1 else otherwise
-
-
-def scan_period(stamps: Floats | NDArray[np.int64]) -> float:
-    """Return the usual time between the scans of a laser, in the unit of their stamps (n,); 0 for fewer than two.
-
-    It is the median step. Scans that are stamped on arrival may arrive several at once; their steps are not those of the laser.
-    Then the median over ten scans is `BURST` times as long, and is used.
-    """
-    step = median_step(stamps, 0.0)
-    over_ten = float(np.median(stamps[10:] - stamps[:-10])) / 10 if len(stamps) > 20 else step
-    return over_ten if over_ten > BURST * step else step
 
 
 def _empty(*shape: int) -> Floats:

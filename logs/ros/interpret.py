@@ -40,10 +40,10 @@ from logs.ros.recording import (
     transform_tree,
 )
 from logs.ros.stamps import settle_clocks, without_repeats
-from logs.ros.stated_sweep import check_sweep
+from logs.ros.stated_times import check_times
 from logs.ros.transform_tree import TransformTree
 from logs.run import RangeSensor, Run
-from logs.sensor import scan_period
+from logs.sensor import median_step
 from logs.transforms import Stamps
 from logs.types import Floats, Mounts
 
@@ -237,7 +237,7 @@ def _mounted(
         )
         if known is None and not is_in_tree:
             lost.append(" in ".join(filter(None, title)))
-        check_sweep(part)
+        check_times(part)
         order_rays(part, upside_down=upside_down)
         mounts.append(mount)
         heights.append(height)
@@ -363,8 +363,8 @@ def _assemble(
     scans = reading.scans
     tracks = [scans.stamps, *(part.stamps for part in (pose, odom, command) if part is not None)]
     epoch = min(int(stamps[0]) for stamps in tracks if len(stamps))
-    period = scan_period(scans.stamps) / 1e9
-    period = period if period > 0 else scans.scan_time if 0 < scans.scan_time < np.inf else 0.1
+    usual = scans.scan_time if 0 < scans.scan_time < np.inf else 0.1
+    period = median_step(scans.stamps, 0.0) / 1e9 or usual
     none = np.zeros(0, dtype=np.int64)
     poses = pose.values if pose is not None else np.zeros((0, 3))
     driven = odom.values if odom is not None else np.zeros((0, 5))

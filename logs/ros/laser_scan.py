@@ -33,7 +33,7 @@ from logs.ros.bearings import (
     stated_bearings,
 )
 from logs.ros.recording import Topic, logged_times, sort_stamps
-from logs.sensor import scan_period
+from logs.sensor import median_step
 from logs.transforms import Stamps
 from logs.types import Floats
 
@@ -210,7 +210,7 @@ def _sensor_scans(
     else:
         bearings, angle_notes = main.bearings_and_notes()
     index = np.concatenate([part for group in groups.values() for part in group.index])
-    stamps, period = stamps.copy(), scan_period(np.sort(stamps[index]))
+    stamps, period = stamps.copy(), median_step(np.sort(stamps[index]), 0.0)
     for group in groups.values():
         later = 1e9 * seconds_to_first_ray(group.bearings(), group.limits[3], bearings, limits[3])
         own = np.concatenate(group.index)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rosbag_samples import Message, odometry, read, scan
 
+from logs.bursts import even_times
 from logs.notes import assumptions_of
 from logs.ros.bearings import seconds_to_first_ray
 
@@ -55,9 +56,37 @@ def test_scans_that_are_stamped_as_they_arrive_in_bursts_have_the_rate_of_the_la
         scan(t, RANGES[k], angle_min=-np.pi, increment=STEP, time_increment=PER_RAY) for k, t in enumerate(at)
     ]
     run = read(tmp_path, bag)
-    assert run.sensor.rate == pytest.approx(10.0, rel=0.2)  # ten scans end within a burst
+    assert run.sensor.rate == pytest.approx(10.0, rel=1e-3)
     assert run.sensor.sweep_time == pytest.approx(PERIOD, rel=1e-6)
-    assert not any("rescaled" in note or "time_increment" in note for note in assumptions_of(run))
+    np.testing.assert_allclose(np.diff(run.stamps), PERIOD, atol=1e-3)
+    notes = [note for note in assumptions_of(run) if "scan" in note]
+    assert len(notes) == 1 and f"as they arrive, {burst} at once" in notes[0]
+
+
+def test_a_burst_that_lacks_a_scan_or_is_late_shifts_no_other() -> None:
+    k = np.arange(60)
+    true = 100_000_000 * k
+    arrival = true[k // 3 * 3 + 2] + 2_000_000 * (k % 3)
+    arrival[30:33] += 40_000_000
+    kept = k != 16
+    found = even_times(arrival[kept])
+    assert found is not None and found[1] == 3
+    off = (found[0] - true[kept]) / 1e6
+    np.testing.assert_allclose(off[(k[kept] < 15) | (k[kept] > 32)], off[0], atol=0.1)
+    assert (np.diff(found[0]) >= 0).all() and np.abs(off - off[0]).max() < 101
+
+
+@pytest.mark.parametrize("kind", ["even", "jitter", "gaps", "pairs by chance"])
+def test_single_arrivals_are_no_bursts(kind: str) -> None:
+    rng, k = np.random.default_rng(0), np.arange(400)
+    stamps = 100_000_000 * k
+    if kind == "jitter":
+        stamps = stamps + rng.integers(0, 60_000_000, len(k))
+    elif kind == "gaps":
+        stamps = stamps[np.flatnonzero(rng.random(len(k)) < 0.6)]
+    elif kind == "pairs by chance":
+        stamps = np.sort(stamps + np.where(rng.random(len(k)) < 0.2, 99_000_000, 0))
+    assert even_times(np.sort(stamps)) is None
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.6])

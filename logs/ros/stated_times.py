@@ -1,24 +1,39 @@
-"""Correct the durations that the driver of a laser states: of a scan, and between two rays."""
+"""Correct the times that the driver of a laser states: of scans in bursts, of a scan, and between two rays."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from logs.bursts import even_times
 from logs.clocks import UNITS
 from logs.repeated_scans import equal_to_previous
 from logs.ros.laser_scan import LaserScans
-from logs.sensor import scan_period
+from logs.sensor import median_step
 from logs.sweep import LIMITS, differs
 
 
-def check_sweep(scans: LaserScans) -> None:
-    """Correct the unit of `time_increment` and `scan_time`, in place, with a note.
+def _spread_bursts(scans: LaserScans) -> None:
+    """Give scans that are stamped as they arrive, several at once, even times, in place, with a note."""
+    is_sent_again = equal_to_previous(scans.ranges).any()  # which a relay does at once
+    found = None if is_sent_again else even_times(scans.stamps)
+    if found is None:
+        return
+    scans.stamps, size = found
+    period = float(np.median(np.diff(scans.stamps))) / 1e9
+    scans.notes.append(
+        f"scans are stamped as they arrive, {size} at once: times {period:.3g} s apart were used, up to that of the last"
+    )
+
+
+def check_times(scans: LaserScans) -> None:
+    """Correct stamps of scans that arrive in bursts, and the unit of `time_increment` and `scan_time`, in place, with notes.
 
     A sweep takes at most the scan period. If it does so in milliseconds, microseconds or nanoseconds, the field is in this
     unit; if `time_increment` itself is the period, it is the duration of the sweep. Any other longer sweep becomes 0.
     Scans that repeat the one before do not count for the period.
     """
-    period = scan_period(scans.stamps[~equal_to_previous(scans.ranges)]) / 1e9
+    _spread_bursts(scans)
+    period = median_step(scans.stamps[~equal_to_previous(scans.ranges)], 0.0) / 1e9
     n = len(scans.bearings)
     unit = _unit(scans.scan_time, period) if period > 0 else None
     if unit is not None:
