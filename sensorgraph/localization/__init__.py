@@ -32,7 +32,7 @@
     Locates a file once and keeps the located run next to it.
 `odometry_check`, `course`, `half_angle`, `odometry_settings`
     Checks the units of the odometry, its heading by its course, and the ray order of the laser; their tuning parameters.
-`ray_times`, `scan_lag`, `time_settings`
+`ray_times`, `older_rays`, `scan_lag`, `time_settings`
     Time of each ray and lag of the scans, from the run itself; their tuning parameters.
 `in_map`, `map_tracking`
     A run in a known place: search, track, recover, smooth.

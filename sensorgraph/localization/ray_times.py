@@ -22,12 +22,13 @@ from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.localization.older_rays import OlderRays, identify_older_rays
 from sensorgraph.localization.scan_lag import N_STEPS, ScanLag, scan_lag, with_stamp_of
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FRONT_END
 from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG, RayTimeSettings
-from sensorgraph.localization.turning_pieces import CLASSES, TurningPieces
+from sensorgraph.localization.turning_pieces import CLASSES, TurningPieces, sweep_basis
 from sensorgraph.types import Floats, Progress
 
 MIRRORS = {"SICK LMS 2xx": 1 / 75, "SICK PLS": 1 / 25}
@@ -67,11 +68,17 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     motion = odometry_motion or motion_of_track(run, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
     dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
-    found = None if is_given else identify_ray_times(run, motion, odometry, dense, settings)
+    older = (
+        None if is_given else _older_rays(run, motion, odometry, dense, settings)
+    )  # one step resembles a sweep
+    found = None if is_given or older else identify_ray_times(run, motion, odometry, dense, settings)
     notes: tuple[str, ...] = filled
     if found is not None:
         run, notes = replace(run, sensor=found.sensor), (*filled, found.line)
-    if found is not None or (odometry is None and run.sensor.has_ray_delays):
+        older = _older_rays(run, motion, odometry, dense, settings)
+    if older is not None:
+        run, notes = replace(run, sensor=older.sensor), (*notes, older.line)
+    if found is not None or older is not None or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
         tracked = track(scans, run.stamps, odometry, progress)
         if odometry is None:  # the velocity of a track that was not deskewed has errors of its own
@@ -91,6 +98,17 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
             more = with_stamp_of(run, lag)[1]
         notes = (*notes, *more)
     return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes)
+
+
+def _older_rays(
+    run: Run, motion: Motion, odometry: Floats | None, tracked: ScanTrack, settings: RayTimeSettings
+) -> OlderRays | None:
+    """Return the part of the rays that is older than the others; None if the run shows none."""
+    pieces = TurningPieces.of(run, odometry, tracked, settings)
+    if pieces is None:
+        return None
+    widening = _small_sample(int(pieces.piece[-1]) + 1, settings)
+    return identify_older_rays(run.sensor, pieces, motion, widening, settings)
 
 
 def _at_equal_times(
@@ -250,12 +268,13 @@ def identify_ray_times(
     pieces = TurningPieces.of(run, odometry, tracked, settings)
     if pieces is None or CLASSES % run.sensor.interlaced_sweeps:
         return None
-    values, ray = _values(run.sensor), np.arange(run.sensor.n_rays)
+    values, basis = _values(run.sensor), sweep_basis(run.sensor.n_rays)
     for step in range(settings.steps):
-        delays = values[0] * ray / len(ray) + np.append(0.0, values[1:])[ray % CLASSES]
-        change, covariance = pieces.estimate(delays, motion)
+        delays = basis @ values
+        found = pieces.estimate(delays, motion, basis)
+        change, covariance = found.change, found.covariance
         values = values + change
-        covariance += np.eye(CLASSES) * (values[0] / len(ray)) ** 2  # to the time of a ray
+        covariance += np.eye(CLASSES) * (values[0] / len(basis)) ** 2  # to the time of a ray
         if step == 0 and _agrees(run.sensor, values, covariance, settings):
             return None
         if change @ np.linalg.solve(covariance, change) < settings.settled:

@@ -29,6 +29,24 @@ CLASSES = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class TimeEstimate:
+    """Gauss-Newton step of the times of rays."""
+
+    change: Floats
+    """(k,) [s]"""
+    covariance: Floats
+    """(k, k) [s²] cluster-robust over the pieces."""
+    information: Floats
+    """(k, k) [1/s²] normal equations after projection on poses and lines."""
+
+
+def sweep_basis(n_rays: int) -> Floats:
+    """Return the share of each ray (n_rays, 4) in the sweep time and in the delays of ray classes 1 to 3."""
+    ray = np.arange(n_rays)
+    return np.column_stack([ray / n_rays, *(ray % CLASSES == k for k in range(1, CLASSES))])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TurningPieces:
     """Short track pieces with many turns, placed far apart so that each has its own map."""
 
@@ -89,11 +107,8 @@ class TurningPieces:
             ),
         )
 
-    def estimate(self, delays: Floats, motion: Motion) -> tuple[Floats, Floats]:
-        """Return the change of the delays (n_rays,) [s] as sweep time and class delays (4,), with its covariance.
-
-        The covariance is cluster-robust over the pieces.
-        """
+    def estimate(self, delays: Floats, motion: Motion, basis: Floats) -> TimeEstimate:
+        """Return the change of the delays (n_rays,) [s] in a basis (n_rays, k)."""
         s = REFINEMENT
         scans = scan_points(self.run, motion, delays=delays)
         keys = np.arange(scans.n_scans)
@@ -103,9 +118,9 @@ class TurningPieces:
         poses = refined.poses
         rows = point_rows(frames, poses, s.last_side, s.last_gate, s.last_sigma)
         system = reduced_system(rows, poses, self.wheels.at(poses))
-        by = self._time_derivatives(rows, poses, scans.rays[rows.index], motion)
+        by = self._speeds(rows, poses, motion)[:, None] * basis[scans.rays[rows.index]]
         n, m, weight = len(poses), rows.n_patches, rows.weight
-        columns = range(CLASSES)
+        columns = range(basis.shape[1])
         by_pose = np.column_stack([
             np.column_stack([sums_by(rows.frame, weight * rows.by_pose[:, i] * by[:, j], n) for i in range(3)]).ravel()
             for j in columns
@@ -121,10 +136,10 @@ class TurningPieces:
         lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
         own = (
             by
-            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, CLASSES)[rows.frame])
-            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, CLASSES)[rows.patch])
+            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, -1)[rows.frame])
+            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, -1)[rows.patch])
         )  # derivatives after projection on poses and lines
-        ridge = np.diag(np.full(CLASSES, RAY_TIMES.delay_sd**-2.0))
+        ridge = np.eye(basis.shape[1]) * RAY_TIMES.delay_sd**-2.0
         matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
         change = -np.linalg.solve(matrix, np.einsum("n,ni,n->i", weight, own, rows.residual))
         left = weight * (rows.residual + own @ change)
@@ -133,10 +148,11 @@ class TurningPieces:
         )
         inverse = np.linalg.inv(matrix)
         pieces = scores.shape[1]
-        return change, inverse @ (scores @ scores.T * pieces / (pieces - 1) + ridge) @ inverse
+        covariance = inverse @ (scores @ scores.T * pieces / (pieces - 1) + ridge) @ inverse
+        return TimeEstimate(change=change, covariance=covariance, information=matrix)
 
-    def _time_derivatives(self, rows: PointRows, poses: Floats, rays: Ints, motion: Motion) -> Floats:
-        """Return the derivatives (n, 4) [m/s] of the residuals with respect to sweep time and class delays."""
+    def _speeds(self, rows: PointRows, poses: Floats, motion: Motion) -> Floats:
+        """Return the derivatives (n,) [m/s] of the residuals with respect to the time of their ray."""
         stamps, velocity_interval = self.run.stamps, RAY_TIMES.velocity_interval
         velocity = (
             compose(invert(motion.at(stamps)), motion.at(stamps + velocity_interval)) / velocity_interval
@@ -145,8 +161,4 @@ class TurningPieces:
         in_map = np.column_stack([
             cos * velocity[:, 0] - sin * velocity[:, 1], sin * velocity[:, 0] + cos * velocity[:, 1], velocity[:, 2]
         ])  # fmt: skip
-        speed = np.einsum("ni,ni->n", rows.by_pose, in_map[rows.frame])
-        classes = rays % CLASSES
-        share = rays / self.run.sensor.n_rays
-        by_class = [np.asarray(classes == k, dtype=np.float64) for k in range(1, CLASSES)]
-        return np.asarray(speed[:, None] * np.column_stack([share, *by_class]))
+        return np.asarray(np.einsum("ni,ni->n", rows.by_pose, in_map[rows.frame]))

@@ -198,8 +198,21 @@ def mirrored(start: Start, draft: Draft) -> None:
     draft.said = "mirror|turn"
 
 
+@of(reference=0.0)
+def older_part(start: Start, draft: Draft) -> None:
+    """A node merges two lasers, and the scan of one is the last or the last but one of it."""
+    n, scans, lag = draft.laser.n, draft.scans, start.pick((1, 2))
+    first = int(n * start.rng.uniform(0.0, 0.4))
+    part = slice(first, int(n * start.rng.uniform(0.5, 1.0)))
+    ranges = [item.content["ranges"].copy() for item in scans]
+    for k in range(lag, len(scans)):
+        new = ranges[k].copy()
+        new[part] = ranges[k - lag][part]
+        scans[k].content = scans[k].content | {"ranges": new}
+
+
 RAYS = named(
     clockwise, reversed_array, reversed_increment, silent, wrong_sign, invented_increment, too_long,
     too_short, stamp_at_end, zero_to_turn, any_start, repeated_end, overlapping, turning_start,
-    uneven_ends, mirrored,
+    uneven_ends, mirrored, older_part,
 )  # fmt: skip

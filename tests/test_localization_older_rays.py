@@ -1,0 +1,86 @@
+"""Rays that are older than the others of their scan, as of two lasers that a node merges, are found and used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import further
+from localization_samples import seen
+
+import logs
+from logs.run import RangeSensor, Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.locate import LocatedRun, locate, located_run
+from sensorgraph.types import Floats
+
+N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 60.0, 0.01
+BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, N_RAYS)
+
+
+def path(t: Floats) -> Floats:
+    """Drive around the box of the room and look about: up to 1 rad/s, in both senses."""
+    x, y = 3.2 + 1.5 * np.cos(0.2 * t), 2.6 + 1.5 * np.sin(0.2 * t)
+    return np.stack([x, y, 0.2 * t + np.pi / 2 + 0.9 * np.sin(0.9 * t)], axis=-1)
+
+
+def run_of(ages: Floats, seed: int = 0) -> Run:
+    """Return a run whose rays were taken some time (n_rays,) [s] before the stamp, which the log does not say."""
+    rng = np.random.default_rng(seed)
+    stamps = np.arange(1.0, SECONDS, 1 / RATE)
+    columns = [seen(path(stamps - age), BEARINGS[i : i + 1]) for i, age in enumerate(ages)]
+    ranges = np.concatenate(columns, axis=1)
+    fine = np.arange(0.0, SECONDS, 0.02)
+    return Run(
+        sensor=RangeSensor(bearings=BEARINGS, range_max=20.0, sigma=SIGMA, rate=RATE),
+        stamps=stamps,
+        ranges=ranges + SIGMA * rng.normal(size=ranges.shape),
+        odom_stamps=fine,
+        odometry=path(fine),
+        odom_twists=np.zeros((len(fine), 2)),
+    )
+
+
+def errors(run: Run, poses: Floats) -> tuple[float, float]:
+    truth = path(run.stamps)
+    off = compose(invert(compose(truth[50], compose(invert(poses[50]), poses))), truth)
+    return float(np.hypot(*off[:, :2].T).max()), float(np.abs(wrap(off[:, 2])).max())
+
+
+@pytest.mark.parametrize(
+    ("older", "age"),
+    [((33, 76), 0.08), *further(((0, 50), 0.08), ((71, 120), 0.15), ((33, 76), 0.02), ((10, 115), 0.1))],
+)
+def test_a_part_that_is_older_is_found(older: tuple[int, int], age: float, tmp_path: Path) -> None:
+    ray = np.arange(N_RAYS)
+    is_older = (ray >= older[0]) & (ray < older[1])
+    run = run_of(age * is_older)
+    found = locate(run)
+    line = next(note for note in found.notes if "older" in note)
+    assert (
+        f"{1e3 * age:.0f} ±" in line or f"{1e3 * age - 1:.0f} ±" in line or f"{1e3 * age + 1:.0f} ±" in line
+    )
+    assert found.sensor is not None
+    np.testing.assert_allclose(np.ptp(found.sensor.ray_delays), age, atol=0.003)
+    assert (
+        np.abs(found.sensor.ray_delays + age * is_older) > 0.005
+    ).sum() <= 2  # rays at the ends of the part
+    xy, yaw = errors(run, found.poses)
+    assert xy < 0.03 and yaw < np.radians(0.6)
+    kept = located_run(run, LocatedRun.of(run, found))
+    logs.write(kept, tmp_path / "kept.mcap")
+    np.testing.assert_allclose(
+        logs.read(tmp_path / "kept.mcap").sensor.ray_delays, found.sensor.ray_delays, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("kind", ["at once", *further("a sweep", "late scans")])
+def test_honest_scans_have_no_older_part(kind: str) -> None:
+    """Nor has a sweep, whose ages are a ramp, or a laser whose scans are all late."""
+    ages = {
+        "at once": np.zeros(N_RAYS),
+        "a sweep": 0.1 * np.arange(N_RAYS) / N_RAYS,
+        "late scans": np.full(N_RAYS, 0.1),
+    }
+    assert not any("older" in note for note in locate(run_of(ages[kind])).notes)
