@@ -10,8 +10,8 @@ import pytest
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from sensorgraph.building.build import build
-from sensorgraph.building.robot_parts import rays_on_robot
-from sensorgraph.types import Floats
+from sensorgraph.localization.robot_parts import robot_parts_at_poses
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast
 
 
@@ -31,6 +31,10 @@ def circling(room: Arena, sensor: RangeSensor) -> Run:
     )
 
 
+def rays_on_robot(run: Run) -> Bools:
+    return np.isfinite(robot_parts_at_poses(run, pair(run)))
+
+
 def with_posts(run: Run) -> tuple[Run, Floats]:
     """Hide every fourth group of five rays behind a part of the robot."""
     hidden = np.arange(run.sensor.n_rays) // 5 % 4 == 1
@@ -41,10 +45,17 @@ def with_posts(run: Run) -> tuple[Run, Floats]:
 
 def test_rays_on_the_robot_are_found_where_it_moves(circling: Run) -> None:
     run, hidden = with_posts(circling)
-    np.testing.assert_array_equal(rays_on_robot(run, pair(run)), hidden)
-    assert not rays_on_robot(circling, pair(circling)).any()
+    np.testing.assert_array_equal(rays_on_robot(run), hidden)
+    assert not rays_on_robot(circling).any()
     still = replace(run, poses=np.tile(run.poses[:1], (len(run.poses), 1)))
-    assert not rays_on_robot(still, pair(still)).any()
+    assert not rays_on_robot(still).any()
+
+
+def test_a_part_that_hides_half_of_the_readings_is_found(circling: Run) -> None:
+    run, hidden = with_posts(circling)
+    some = np.random.default_rng(6).random(run.ranges.shape) < 0.5
+    run = replace(run, ranges=np.where(some, run.ranges, circling.ranges))
+    np.testing.assert_array_equal(rays_on_robot(run), hidden)
 
 
 def test_a_wall_that_the_robot_follows_is_no_part_of_it(room: Arena, sensor: RangeSensor) -> None:
@@ -52,7 +63,7 @@ def test_a_wall_that_the_robot_follows_is_no_part_of_it(room: Arena, sensor: Ran
     run = drive(room, sensor, along)
     same = np.ptp(run.ranges, axis=0) < 0.05
     assert same.any()  # rays to the wall beside it
-    assert not rays_on_robot(run, pair(run)).any()
+    assert not rays_on_robot(run).any()
 
 
 def test_a_graph_has_no_surfaces_of_the_robot(circling: Run) -> None:

@@ -18,8 +18,8 @@ from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.scans import ScanPoints, scan_points
 
-TRAILER = [(-0.5, -0.45), (-0.5, 0.45), (-1.9, 0.45), (-1.9, -0.45)]
-"""[m] Corners of a trailer behind the laser, in base_link."""
+TRAILER = [(-1.1, -1.0), (-1.1, 1.0), (-2.5, 1.0), (-2.5, -1.0)]
+"""[m] Corners of a wide trailer behind the laser, in base_link; nearer ones are parts of the robot (`robot_parts.py`)."""
 
 
 def ranges_to(corners: list[tuple[float, float]], bearings: np.ndarray) -> np.ndarray:

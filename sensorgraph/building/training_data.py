@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +14,10 @@ from logs.run import Pairing, PoseFrame, RangeSensor, Run, pair
 from logs.run_warnings import warnings_of
 from logs.sensor import median_step
 from logs.stream import LogStream
-from sensorgraph.building.robot_parts import rays_on_robot, robot_parts_text
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps, check_ranges
+from sensorgraph.localization.robot_parts import robot_parts_at_poses, robot_parts_text, without_readings
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.models.narmax.sequences import MAX_STEP, stretches
@@ -129,7 +128,7 @@ class _LogIntake:
         self.end: float | None = None
         """[s] Stamp of the last scan, if it was used."""
         self.n_stretches = 0
-        self.on_robot: Bools = np.zeros(0, dtype=np.bool_)
+        self.robot_parts: Floats = np.zeros(0)
         """(n_rays,) Rays that end at the robot itself, from the first piece."""
 
     def take(self, run: Run) -> tuple[Floats, ...]:
@@ -198,12 +197,12 @@ class _LogIntake:
     def _without_robot(self, run: Run, pairing: Pairing, *, is_first: bool) -> Run:
         """Return the piece without readings of the robot itself, which would be surfaces wherever it drives."""
         if is_first:
-            self.on_robot = rays_on_robot(run, pairing)
-            if self.on_robot.any():
-                self.warnings["robot"] = robot_parts_text(self.on_robot, run.sensor.bearings)
-        if not self.on_robot.any():
+            self.robot_parts = robot_parts_at_poses(run, pairing)
+            if np.isfinite(self.robot_parts).any():
+                self.warnings["robot"] = robot_parts_text(self.robot_parts, run.sensor.bearings)
+        if np.isnan(self.robot_parts).all():
             return run
-        return replace(run, ranges=np.where(self.on_robot, np.nan, run.ranges))
+        return without_readings(run, self.robot_parts)
 
     def _check_first_piece(self, run: Run) -> None:
         """Refuse ranges in another unit, and warn of a mirrored or turned scan, and of scans that contradict each other."""

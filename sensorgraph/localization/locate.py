@@ -22,6 +22,7 @@ from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import with_spread_stamps
 from sensorgraph.localization.odometry_check import check_turns, with_checked_odometry
 from sensorgraph.localization.result import Closure, Localization, true_intervals
+from sensorgraph.localization.robot_parts import without_robot_parts
 from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 from sensorgraph.types import Floats, ProgressBars, no_progress
 
@@ -69,7 +70,9 @@ def locate(
         )
     given, run = run, with_spread_stamps(run)
     is_spread = run is not given
+    run, own = without_robot_parts(run)
     run, notes = with_checked_odometry(run)
+    notes = (*own, *notes)
     if is_spread:
         n = int((np.diff(given.stamps) == 0).sum())
         notes = (f"{n} scans repeat the previous stamp: spread evenly up to the next stamp", *notes)

@@ -1,4 +1,4 @@
-"""Nodes: two that publish one thing, drivers that are started again or send again, odometry of mixed frames and units."""
+"""Nodes: two that publish one thing, drivers that are started again or send again, odometry of mixed frames and units, parts of the robot."""
 
 from __future__ import annotations
 
@@ -217,8 +217,25 @@ def sideways(start: Start) -> Draft:
     return draft
 
 
+def parts_of_robot(start: Start) -> Draft:
+    """Parts of the robot in a sector of the view: posts, cables or a lid hide some of its readings, or all."""
+    draft = start.draft(reference=0.0)
+    n, rng = draft.laser.n, start.rng
+    view, first = round(n * start.pick((0.1, 0.25, 0.4))), int(rng.integers(n))
+    share = start.pick((1.0, 0.6))
+    own = 0.25 + 0.15 * rng.random() + 0.08 * np.sin(np.arange(view) / 9)
+    for item in draft.scans:
+        rays = (first + np.arange(view)) % n
+        hit = rng.random(view) < share
+        z = np.round(own + 0.005 * rng.normal(size=view), 3)
+        item.content["ranges"][rays[hit]] = z[hit]
+    if start.chance(0.3):
+        draft.drop_odometry()
+    return draft
+
+
 NODES = named(
     two_publishers, drifting_publisher, publisher_of_zeros, transforms_of_two, odometry_starts_again,
     field_changes, order_changes, sent_again, stamped_in_bursts, sectors, mirrored_positions,
-    twist_in_odometry, twist_in_degrees, compass_heading, sideways,
+    twist_in_odometry, twist_in_degrees, compass_heading, sideways, parts_of_robot,
 )  # fmt: skip
