@@ -23,6 +23,8 @@ from sensorgraph.types import Bools, Floats, Ints
 
 SECTORS = 12
 """Number of parts of the field of view."""
+MAX_STEPS = 30
+"""Maximum number of Gauss-Newton steps: a part of most rays takes the poses with it, at first, and steps are short."""
 ENDS = 20
 """Number of groups of rays about each end of a part, of which each gets a time of its own."""
 STEPS = 4
@@ -75,7 +77,7 @@ def identify_older_rays(
     sector = np.arange(sensor.n_rays) * SECTORS // sensor.n_rays
     basis = (sector[:, None] == np.arange(1, SECTORS)).astype(np.float64)
     values = np.zeros(SECTORS - 1)
-    for step in range(settings.steps):
+    for step in range(MAX_STEPS):
         found = pieces.estimate(sensor.ray_delays + basis @ values, motion, basis)
         values = values + found.change
         if (
