@@ -12,7 +12,7 @@ from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.locate import locate
-from sensorgraph.localization.missing_odometry import with_missing_stretches
+from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.types import Bools
 
@@ -110,6 +110,20 @@ def test_the_sweep_before_a_pause_of_the_recording_has_the_motion_before_it() ->
     np.testing.assert_allclose(filled.at(times)[:, 2], -1.2 * times, atol=0.002)
     times = 5.15 + pause - np.linspace(0.0, 0.1, 11)  # and of the first one after it, stamped at its end
     np.testing.assert_allclose(filled.at(times)[:, 2], -1.2 * (times - pause), atol=0.002)
+
+
+def test_odometry_that_starts_again_goes_on_where_it_was() -> None:
+    stamps = np.arange(0.0, 10.0, 0.02)
+    truth = np.column_stack([3.0 * np.sin(0.4 * stamps), 3.0 - 3.0 * np.cos(0.4 * stamps), 0.4 * stamps])
+    poses = truth.copy()
+    for first in (200, 330):  # each time from 0
+        poses[first:] = compose(invert(truth[first])[None], truth[first:])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    joined = without_jumps(Motion(stamps=stamps, poses=poses))
+    off = compose(invert(truth), joined.poses)
+    assert np.abs(off[:, :2]).max() < 1e-3 and np.abs(wrap(off[:, 2])).max() < 1e-3
+    whole = Motion(stamps=stamps, poses=truth)
+    assert without_jumps(whole) is whole
 
 
 def test_whole_odometry_is_unchanged() -> None:

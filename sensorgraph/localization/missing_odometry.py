@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from logs.jumps import find_jumps
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
@@ -47,6 +48,26 @@ def with_missing_stretches(run: Run, motion: Motion) -> tuple[Motion, tuple[str,
             filled.append((float(first), float(last)))
     joined = _in_order(stamps, poses) if filled else motion
     return _with_sweeps_into_gaps(run, joined), _notes(run, motion, filled)
+
+
+def without_jumps(motion: Motion) -> Motion:
+    """Return the motion with its parts joined where it jumps, as of odometry that starts again: at constant velocity.
+
+    A scan whose sweep contains the jump is then deskewed by the motion of the robot.
+    """
+    jumps = find_jumps(motion.stamps, motion.poses)
+    if jumps is None:
+        return motion
+    poses = motion.poses.copy()
+    for first, end in zip(jumps.after, [*jumps.after[1:], len(poses)], strict=True):
+        step = np.zeros(3)
+        if first > 1 and motion.stamps[first - 1] > motion.stamps[first - 2]:
+            share = np.diff(motion.stamps[first - 1 : first + 1]) / np.diff(motion.stamps[first - 2 : first])
+            step = compose(invert(poses[first - 2]), poses[first - 1]) * share
+        moved = compose(compose(poses[first - 1], step), invert(motion.poses[first]))
+        poses[first:end] = compose(moved[None], motion.poses[first:end])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Motion(stamps=motion.stamps, poses=poses)
 
 
 def is_measured(motion: Motion, times: Floats) -> Bools:

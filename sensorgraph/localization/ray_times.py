@@ -20,7 +20,7 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
-from sensorgraph.localization.missing_odometry import with_missing_stretches
+from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.older_rays import OlderRays, identify_older_rays
 from sensorgraph.localization.scan_lag import N_STEPS, ScanLag, scan_lag, with_stamp_of
@@ -60,7 +60,10 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     measured, odometry_motion, filled = odometry_of(run), None, tuple[str, ...]()
     if measured is not None:
         odometry_motion, filled = with_missing_stretches(run, measured)
-    odometry = None if odometry_motion is None else odometry_at_scans(run, odometry_motion)
+    odometry = None
+    if odometry_motion is not None:
+        odometry = odometry_at_scans(run, odometry_motion)  # with its jumps, which the tracking leaves out
+        odometry_motion = without_jumps(odometry_motion)
     scans = scan_points(run, odometry_motion)
     tracked = track(scans, run.stamps, odometry, progress)
     if len(tracked.key_frames) == 0 or run.sensor.is_composite:
