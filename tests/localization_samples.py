@@ -41,6 +41,12 @@ def loop_poses(n: int, *, laps: float = 1.0) -> Floats:
     return np.column_stack([x, y, t + np.pi / 2])
 
 
+def looking_about(t: Floats) -> Floats:
+    """Drive around the box of the room and look about: up to 1 rad/s, in both senses; poses (n, 3) at times (n,) [s]."""
+    x, y = 3.2 + 1.5 * np.cos(0.2 * t), 2.6 + 1.5 * np.sin(0.2 * t)
+    return np.stack([x, y, 0.2 * t + np.pi / 2 + 0.9 * np.sin(0.9 * t)], axis=-1)
+
+
 def room_run(
     poses: Floats,
     *,

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import further
+from localization_samples import looking_about as path
 from localization_samples import seen
 
 import logs
@@ -17,12 +18,6 @@ from sensorgraph.types import Floats
 
 N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 60.0, 0.01
 BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, N_RAYS)
-
-
-def path(t: Floats) -> Floats:
-    """Drive around the box of the room and look about: up to 1 rad/s, in both senses."""
-    x, y = 3.2 + 1.5 * np.cos(0.2 * t), 2.6 + 1.5 * np.sin(0.2 * t)
-    return np.stack([x, y, 0.2 * t + np.pi / 2 + 0.9 * np.sin(0.9 * t)], axis=-1)
 
 
 def run_of(ages: Floats, seed: int = 0) -> Run:

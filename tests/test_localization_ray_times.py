@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import further
 from localization_samples import ROOM, seen
+from localization_samples import looking_about as path
 
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
@@ -31,12 +32,6 @@ HALF = LMS / 2 * N_RAYS / (N_RAYS - 1)  # [s] a sweep over 180°, plus a ray
 
 GIVEN = {"ray_times": "robot.yaml"}
 """Of a run whose ray times a robot.yaml states, which are used as they are."""
-
-
-def path(t: Floats) -> Floats:
-    """Drive around the box of the room and look about: up to 1 rad/s, in both senses."""
-    x, y = 3.2 + 1.5 * np.cos(0.2 * t), 2.6 + 1.5 * np.sin(0.2 * t)
-    return np.stack([x, y, 0.2 * t + np.pi / 2 + 0.9 * np.sin(0.9 * t)], axis=-1)
 
 
 def run_of(times: Floats, seed: int = 0) -> Run:

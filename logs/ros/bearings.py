@@ -129,8 +129,8 @@ def seconds_to_first_ray(
 ) -> float:
     """Return the time [s] from the first ray of a scan to the first of other bearings, to which it is resampled.
 
-    The stamp of a scan is the time of its own first ray. 0 if the two do not rotate alike, or if the rays of neither lie
-    between those of the other, so that one stamp does not suffice.
+    The stamp of a scan is the time of its first ray. The result is 0 if one stamp does not suffice: if the two do not rotate
+    alike, or if the rays of neither lie between those of the other.
 
     Parameters
     ----------

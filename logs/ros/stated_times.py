@@ -14,12 +14,11 @@ from logs.sweep import LIMITS, differs
 
 def _spread_bursts(scans: LaserScans) -> None:
     """Give scans that are stamped as they arrive, several at once, even times, in place, with a note."""
-    is_sent_again = equal_to_previous(scans.ranges).any()  # which a relay does at once
-    found = None if is_sent_again else even_times(scans.stamps)
+    found = even_times(scans.stamps)
     if found is None:
         return
     scans.stamps, size = found
-    period = float(np.median(np.diff(scans.stamps))) / 1e9
+    period = median_step(scans.stamps, 0.0) / 1e9
     scans.notes.append(
         f"scans are stamped as they arrive, {size} at once: times {period:.3g} s apart were used, up to that of the last"
     )
@@ -32,8 +31,10 @@ def check_times(scans: LaserScans) -> None:
     unit; if `time_increment` itself is the period, it is the duration of the sweep. Any other longer sweep becomes 0.
     Scans that repeat the one before do not count for the period.
     """
-    _spread_bursts(scans)
-    period = median_step(scans.stamps[~equal_to_previous(scans.ranges)], 0.0) / 1e9
+    is_sent_again = equal_to_previous(scans.ranges)
+    if not is_sent_again.any():  # which a relay does at once, so that no burst shows
+        _spread_bursts(scans)
+    period = median_step(scans.stamps[~is_sent_again], 0.0) / 1e9
     n = len(scans.bearings)
     unit = _unit(scans.scan_time, period) if period > 0 else None
     if unit is not None:

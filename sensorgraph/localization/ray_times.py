@@ -71,14 +71,13 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     motion = odometry_motion or motion_of_track(run, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
     dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
-    older = (
-        None if is_given else _older_rays(run, motion, odometry, dense, settings)
-    )  # one step resembles a sweep
-    found = None if is_given or older else identify_ray_times(run, motion, odometry, dense, settings)
+    pieces = None if is_given else TurningPieces.of(run, odometry, dense, settings)
+    older = _older_rays(run.sensor, pieces, motion, settings)  # first, as one step resembles a sweep
+    found = None if older else identify_ray_times(run.sensor, pieces, motion, settings)
     notes: tuple[str, ...] = filled
     if found is not None:
         run, notes = replace(run, sensor=found.sensor), (*filled, found.line)
-        older = _older_rays(run, motion, odometry, dense, settings)
+        older = _older_rays(run.sensor, pieces, motion, settings)
     if older is not None:
         run, notes = replace(run, sensor=older.sensor), (*notes, older.line)
     if found is not None or older is not None or (odometry is None and run.sensor.has_ray_delays):
@@ -104,14 +103,13 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
 
 
 def _older_rays(
-    run: Run, motion: Motion, odometry: Floats | None, tracked: ScanTrack, settings: RayTimeSettings
+    sensor: RangeSensor, pieces: TurningPieces | None, motion: Motion, settings: RayTimeSettings
 ) -> OlderRays | None:
     """Return the part of the rays that is older than the others; None if the run shows none."""
-    pieces = TurningPieces.of(run, odometry, tracked, settings)
     if pieces is None:
         return None
     widening = _small_sample(int(pieces.piece[-1]) + 1, settings)
-    return identify_older_rays(run.sensor, pieces, motion, widening, settings)
+    return identify_older_rays(sensor, pieces, motion, widening, settings)
 
 
 def _at_equal_times(
@@ -254,37 +252,35 @@ def _values(sensor: RangeSensor) -> Floats:
 
 
 def identify_ray_times(
-    run: Run,
+    sensor: RangeSensor,
+    pieces: TurningPieces | None,
     motion: Motion,
-    odometry: Floats | None,
-    tracked: ScanTrack,
     settings: RayTimeSettings = RAY_TIMES,
 ) -> RayTimes | None:
     """Estimate sweep time and class delays; return the ray times that match them, or None to keep those of the log.
 
     Parameters
     ----------
+    sensor : With the ray times of the log.
+    pieces : Of a track with these; None: the robot hardly turned.
     motion : Motion of base_link, from the odometry or the track.
-    odometry : (n_scans, 3) The odometry at the scans; None: unusable.
-    tracked : Track with the ray times of the log.
     """
-    pieces = TurningPieces.of(run, odometry, tracked, settings)
-    if pieces is None or CLASSES % run.sensor.interlaced_sweeps:
+    if pieces is None or CLASSES % sensor.interlaced_sweeps:
         return None
-    values, basis = _values(run.sensor), sweep_basis(run.sensor.n_rays)
+    values, basis = _values(sensor), sweep_basis(sensor.n_rays)
     for step in range(settings.steps):
         delays = basis @ values
         found = pieces.estimate(delays, motion, basis)
         change, covariance = found.change, found.covariance
         values = values + change
         covariance += np.eye(CLASSES) * (values[0] / len(basis)) ** 2  # to the time of a ray
-        if step == 0 and _agrees(run.sensor, values, covariance, settings):
+        if step == 0 and _agrees(sensor, values, covariance, settings):
             return None
         if change @ np.linalg.solve(covariance, change) < settings.settled:
             break
     errors = np.sqrt(np.diag(covariance))
     wide = covariance * _small_sample(int(pieces.piece[-1]) + 1, settings)
-    return _judge(run.sensor, values, errors, wide, settings)
+    return _judge(sensor, values, errors, wide, settings)
 
 
 def _small_sample(n_pieces: int, settings: RayTimeSettings) -> float:
