@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,14 @@ from localization_samples import looking_about as path
 from localization_samples import seen
 
 import logs
+from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.locate import LocatedRun, locate, located_run
+from sensorgraph.localization.ray_times import track_run
+from sensorgraph.localization.sector_matches import best_part
+from sensorgraph.localization.time_settings import RAY_TIMES
+from sensorgraph.localization.turning_pieces import TurningPieces, sweep_basis
 from sensorgraph.types import Floats
 
 N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 60.0, 0.01
@@ -45,7 +51,10 @@ def errors(run: Run, poses: Floats) -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     ("older", "age"),
-    [((33, 76), 0.08), *further(((0, 50), 0.08), ((71, 120), 0.15), ((33, 76), 0.02), ((10, 115), 0.1))],
+    [
+        ((33, 76), 0.08),
+        *further(((0, 50), 0.08), ((71, 120), 0.15), ((33, 76), 0.02), ((10, 115), 0.1), ((40, 85), 0.2)),
+    ],
 )
 def test_a_part_that_is_older_is_found(older: tuple[int, int], age: float, tmp_path: Path) -> None:
     ray = np.arange(N_RAYS)
@@ -79,3 +88,17 @@ def test_honest_scans_have_no_older_part(kind: str) -> None:
         "late scans": np.full(N_RAYS, 0.1),
     }
     assert not any("older" in note for note in locate(run_of(ages[kind])).notes)
+
+
+def test_without_returns_only_the_prior_says_when_rays_were_taken() -> None:
+    run = run_of(np.zeros(N_RAYS))
+    tracked = track_run(run, lambda done, total: None)
+    pieces = TurningPieces.of(run, tracked.odometry, tracked.track, RAY_TIMES)
+    assert pieces is not None
+    blind = replace(pieces, run=replace(pieces.run, ranges=np.full_like(pieces.run.ranges, np.inf)))
+    motion = Motion(stamps=run.odom_stamps, poses=run.odometry)
+    basis = sweep_basis(N_RAYS)
+    found = blind.linearised(run.sensor.ray_delays, motion).estimate(basis)
+    np.testing.assert_allclose(found.change, 0.0)
+    np.testing.assert_allclose(found.covariance, RAY_TIMES.delay_sd**2 * np.eye(basis.shape[1]))
+    assert best_part(blind, blind.poses, run.sensor.ray_delays, motion)[1] == 0.0

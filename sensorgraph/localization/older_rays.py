@@ -6,19 +6,22 @@ M c = g of the sectors, the part b with the largest
 
     gain(b) = (b'g)² / b'M b
 
-must explain nearly all of g'M⁻¹g. A sweep is a ramp, of which a step explains at most 3/4.
+must explain nearly all of g'M⁻¹g. A sweep is a ramp: where a ramp explains more than any part, there are no older rays. A part
+that is far off starts with the time at which most of its points match the others (`sector_matches`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from logs.motion import Motion
 from logs.run import RangeSensor
+from sensorgraph.localization.sector_matches import best_part
 from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG, RayTimeSettings
-from sensorgraph.localization.turning_pieces import TimeEstimate, TurningPieces
+from sensorgraph.localization.turning_pieces import LinearisedPieces, TimeEstimate, TurningPieces
 from sensorgraph.types import Bools, Floats, Ints
 
 SECTORS = 12
@@ -30,7 +33,14 @@ ENDS = 20
 STEPS = 4
 """Number of Gauss-Newton steps of these times; each finds half of the rest, or more."""
 MIN_EXPLAINED = 0.9
-"""Share of the gain of all sectors that a part must explain, well above that of a sweep (3/4)."""
+"""Share of the gain of all sectors that a part must explain; of a ramp it explains at most 3/4."""
+
+_SECTOR = np.arange(1, SECTORS)
+PATTERNS = np.array([
+    *((first <= _SECTOR) & (end > _SECTOR) for first in range(1, SECTORS) for end in range(first + 1, SECTORS + 1)),
+    _SECTOR / SECTORS,
+], dtype=np.float64)  # fmt: skip
+"""Times of the sectors relative to the first one: of each part, and last of a ramp."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +71,7 @@ class OlderRays:
 def identify_older_rays(
     sensor: RangeSensor,
     pieces: TurningPieces,
+    start: LinearisedPieces,
     motion: Motion,
     widening: float,
     settings: RayTimeSettings = RAY_TIMES,
@@ -69,31 +80,41 @@ def identify_older_rays(
 
     Parameters
     ----------
+    start : `pieces`, linearised at the ray times of the sensor.
     motion : Motion of base_link, from the odometry or the track.
     widening : Factor of the covariances, as there are few pieces.
     """
     if sensor.n_rays < 2 * SECTORS:
         return None
-    sector = np.arange(sensor.n_rays) * SECTORS // sensor.n_rays
+    part, time = best_part(pieces, start.poses, sensor.ray_delays, motion)
+    sector = _sectors(part) if time else np.arange(sensor.n_rays) * SECTORS // sensor.n_rays
+    rays = _Rays(sensor=sensor, pieces=pieces, motion=motion)
     basis = (sector[:, None] == np.arange(1, SECTORS)).astype(np.float64)
-    values = np.zeros(SECTORS - 1)
+    values = np.asarray([time * part[np.argmax(column)] for column in basis.T])
+    equations = rays.linearised(basis @ values) if time else start
     for step in range(MAX_STEPS):
-        found = pieces.estimate(sensor.ray_delays + basis @ values, motion, basis)
+        found = equations.estimate(basis)
         values = values + found.change
-        if (
-            step == 0 and np.ptp(np.append(values, 0.0)) < 0.5 * SCAN_LAG.min_lag
-        ):  # a step finds half, or more
+        if step == 0 and np.ptp(np.append(values, 0.0)) < 0.5 * SCAN_LAG.min_lag:  # it finds half, or more
+            return None
+        *of_parts, of_ramp = _gains(values, found)
+        if of_ramp > max(of_parts):
             return None
         if np.abs(found.change).max() < 0.1 * SCAN_LAG.min_lag:
             break
+        equations = rays.linearised(basis @ values)
     is_settled = np.abs(found.change).max() < SCAN_LAG.min_lag
     if not is_settled or not _is_one_part(values, found, widening, settings):
         return None
-    late, delay = _part_of(values, sector)
-    if abs(delay) < SCAN_LAG.min_lag or (np.diff(late.astype(np.int8)) != 0).sum() > 2:
+    times = np.append(0.0, values)
+    is_older = times < 0.5 * (times.min() + times.max())
+    older, age = is_older[sector], _age(times, is_older)
+    if age < SCAN_LAG.min_lag or (np.diff(older.astype(np.int8)) != 0).sum() > 2:
         return None
-    late = _with_sharp_ends(late, delay, sensor, pieces, motion)
-    older, age = late if delay < 0 else ~late, abs(delay)
+    older = rays.with_sharp_ends(older, age)
+    for _ in range(STEPS):  # a time for each sector, so that ends that are a few rays off do not matter
+        found = rays.linearised(np.where(older, -age, 0.0)).estimate(basis)
+        age += _age(np.append(0.0, found.change), is_older)
     delays = sensor.ray_delays - sensor.ray_delays[0] - age * older
     timed = replace(
         sensor, delays=delays - delays[0], first_ray_delay=sensor.first_ray_delay + float(delays[0]),
@@ -103,46 +124,77 @@ def identify_older_rays(
     return OlderRays(sensor=timed, rays=older, age=age, stderr=stderr)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rays:
+    """The rays of a sensor in pieces of a track."""
+
+    sensor: RangeSensor
+    pieces: TurningPieces
+    motion: Motion
+
+    def linearised(self, times: Floats) -> LinearisedPieces:
+        """Linearise the pieces at other times (n_rays,) [s]; the latest rays keep theirs, as stamps are those of new scans."""
+        return self.pieces.linearised(self.sensor.ray_delays + times - times.max(), self.motion)
+
+    def with_sharp_ends(self, older: Bools, age: float) -> Bools:
+        """Return the older rays (n_rays,), with ends that the times of single rays show.
+
+        They are sought a sector to either side of the given ends, and of the ends of the scan.
+        """
+        n, size = self.sensor.n_rays, self.sensor.n_rays // SECTORS
+        inner = np.flatnonzero(np.diff(older.astype(np.int8))) + 1
+        ends = [(0, bool(older[0])), *((int(at), bool(older[at])) for at in inner), (n, not older[-1])]
+        middles = [0, *((a + b) // 2 for (a, _), (b, _) in pairwise(ends)), n]
+        near = [
+            np.arange(max(at - size, low), min(at + size, high))
+            for (at, _), (low, high) in zip(ends, pairwise(middles), strict=True)
+        ]
+        step = max(2 * size // ENDS, 1)  # rays of a column
+        groups = [rays[first : first + step] for rays in near for first in range(0, len(rays), step)]
+        basis = np.zeros((n, len(groups)))
+        for k, group in enumerate(groups):
+            basis[group, k] = 1.0
+        times = np.zeros(len(groups))
+        for _ in range(STEPS):
+            times += self.linearised(basis @ times - np.where(older, age, 0.0)).estimate(basis).change
+        beyond = np.zeros(n)  # share of the age beyond half of it
+        for group, time in zip(groups, -times / age, strict=True):
+            beyond[group] = time + older[group] - 0.5
+        out = older.copy()
+        for rays, (_, is_begin) in zip(near, ends, strict=True):
+            cut_of = np.argmin if is_begin else np.argmax
+            cut = int(cut_of(np.concatenate([[0.0], np.cumsum(beyond[rays])])))
+            out[rays] = (np.arange(len(rays)) >= cut) == is_begin
+        return out
+
+
+def _gains(values: Floats, found: TimeEstimate) -> Floats:
+    """Return the gain of each of `PATTERNS`, by the times of the sectors (SECTORS - 1,) [s]."""
+    of_patterns = np.einsum("pi,ij,pj->p", PATTERNS, found.information, PATTERNS)
+    return np.asarray((PATTERNS @ found.information @ values) ** 2 / of_patterns)
+
+
 def _is_one_part(values: Floats, found: TimeEstimate, widening: float, settings: RayTimeSettings) -> bool:
     """Tell whether one part of the sectors explains their times (SECTORS - 1,) [s], and surely has another time."""
-    g = found.information @ values
-    total, robust = float(g @ values), found.information @ found.covariance @ found.information
-    parts = [slice(first, end) for first in range(SECTORS - 1) for end in range(first + 1, SECTORS)]
-    best = max(parts, key=lambda part: float(g[part].sum()) ** 2 / float(found.information[part, part].sum()))
-    square = float(g[best].sum()) ** 2
-    explained = square / float(found.information[best, best].sum()) / total
-    return (
-        explained > MIN_EXPLAINED and square / float(robust[best, best].sum()) > widening * settings.min_gain
-    )
+    gains = _gains(values, found)[:-1]
+    best = int(np.argmax(gains))
+    weights = PATTERNS[best] @ found.information
+    other = float(weights @ values) ** 2 / float(weights @ found.covariance @ weights)
+    is_most = gains[best] > MIN_EXPLAINED * float(values @ found.information @ values)
+    return is_most and other > widening * settings.min_gain
 
 
-def _part_of(values: Floats, sector: Ints) -> tuple[Bools, float]:
-    """Return the rays (n_rays,) of the sectors whose times are the other ones, and these [s] relative to the first sector."""
-    values = np.append(0.0, values)
-    delay = float(np.median(values[np.abs(values) > 0.5 * np.abs(values).max()]))
-    return np.asarray(values[sector] / delay > 0.5), delay
+def _age(times: Floats, is_older: Bools) -> float:
+    """Return by how much some sectors are older than the others [s], from the times of all (SECTORS,)."""
+    return float(np.median(times[~is_older]) - np.median(times[is_older]))
 
 
-def _with_sharp_ends(
-    late: Bools, delay: float, sensor: RangeSensor, pieces: TurningPieces, motion: Motion
-) -> Bools:
-    """Return the rays (n_rays,) of a part whose ends are sought a sector to either side, by the times of single rays there."""
-    n, size = sensor.n_rays, sensor.n_rays // SECTORS
-    begin, end = np.flatnonzero(late)[[0, -1]] + [0, 1]
-    near = [np.arange(max(at - size, 0), min(at + size, n)) for at in (begin, end)]
-    step = max(2 * size // ENDS, 1)  # rays of a column
-    groups = [rays[first : first + step] for rays in near for first in range(0, len(rays), step)]
-    basis = np.zeros((n, len(groups)))
-    for k, group in enumerate(groups):
-        basis[group, k] = 1.0
-    times = np.zeros(len(groups))
-    for _ in range(STEPS):
-        times += pieces.estimate(sensor.ray_delays + delay * late + basis @ times, motion, basis).change
-    beyond = np.zeros(n)  # share of `delay` beyond half of it
-    for group, time in zip(groups, times / delay, strict=True):
-        beyond[group] = time + late[group] - 0.5
-    out = late.copy()
-    for rays, cut_of, is_begin in zip(near, (np.argmin, np.argmax), (True, False), strict=True):
-        cut = int(cut_of(np.concatenate([[0.0], np.cumsum(beyond[rays])])))
-        out[rays] = (np.arange(len(rays)) >= cut) == is_begin
-    return out
+def _sectors(part: Bools) -> Ints:
+    """Return the number of the sector of each ray (n_rays,), so that a part begins and ends with a sector."""
+    ends = np.concatenate([[0], np.flatnonzero(np.diff(part.astype(np.int8))) + 1, [len(part)]])
+    sizes = np.diff(ends)
+    counts = np.maximum(np.rint(SECTORS * sizes / len(part)), 1).astype(np.intp)
+    counts[np.argmax(sizes)] += SECTORS - counts.sum()
+    first = np.cumsum(counts) - counts
+    zones = [np.arange(size) * n // size + at for size, n, at in zip(sizes, counts, first, strict=True)]
+    return np.concatenate(zones)

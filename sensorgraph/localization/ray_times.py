@@ -22,13 +22,13 @@ from logs.transforms import compose, invert
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.older_rays import OlderRays, identify_older_rays
+from sensorgraph.localization.older_rays import identify_older_rays
 from sensorgraph.localization.scan_lag import N_STEPS, ScanLag, scan_lag, with_stamp_of
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FRONT_END
 from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG, RayTimeSettings
-from sensorgraph.localization.turning_pieces import CLASSES, TurningPieces, sweep_basis
+from sensorgraph.localization.turning_pieces import CLASSES, LinearisedPieces, TurningPieces, sweep_basis
 from sensorgraph.types import Floats, Progress
 
 MIRRORS = {"SICK LMS 2xx": 1 / 75, "SICK PLS": 1 / 25}
@@ -72,15 +72,11 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     is_given = run.meta.get("ray_times") == "robot.yaml"
     dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
     pieces = None if is_given else TurningPieces.of(run, odometry, dense, settings)
-    older = _older_rays(run.sensor, pieces, motion, settings)  # first, as one step resembles a sweep
-    found = None if older else identify_ray_times(run.sensor, pieces, motion, settings)
-    notes: tuple[str, ...] = filled
-    if found is not None:
-        run, notes = replace(run, sensor=found.sensor), (*filled, found.line)
-        older = _older_rays(run.sensor, pieces, motion, settings)
-    if older is not None:
-        run, notes = replace(run, sensor=older.sensor), (*notes, older.line)
-    if found is not None or older is not None or (odometry is None and run.sensor.has_ray_delays):
+    sensor, notes = (
+        (run.sensor, ()) if pieces is None else _with_ray_times(run.sensor, pieces, motion, settings)
+    )
+    is_new, run, notes = sensor is not run.sensor, replace(run, sensor=sensor), (*filled, *notes)
+    if is_new or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
         tracked = track(scans, run.stamps, odometry, progress)
         if odometry is None:  # the velocity of a track that was not deskewed has errors of its own
@@ -102,14 +98,22 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes)
 
 
-def _older_rays(
-    sensor: RangeSensor, pieces: TurningPieces | None, motion: Motion, settings: RayTimeSettings
-) -> OlderRays | None:
-    """Return the part of the rays that is older than the others; None if the run shows none."""
-    if pieces is None:
-        return None
+def _with_ray_times(
+    sensor: RangeSensor, pieces: TurningPieces, motion: Motion, settings: RayTimeSettings
+) -> tuple[RangeSensor, tuple[str, ...]]:
+    """Return the sensor with the ray times that the run shows, and notes about them."""
+    start = pieces.linearised(sensor.ray_delays, motion)
     widening = _small_sample(int(pieces.piece[-1]) + 1, settings)
-    return identify_older_rays(sensor, pieces, motion, widening, settings)
+    notes: tuple[str, ...] = ()
+    older = identify_older_rays(sensor, pieces, start, motion, widening, settings)
+    found = None if older else identify_ray_times(sensor, pieces, start, motion, settings)
+    if found is not None:
+        sensor, notes = found.sensor, (found.line,)
+        start = pieces.linearised(sensor.ray_delays, motion)
+        older = identify_older_rays(sensor, pieces, start, motion, widening, settings)
+    if older is not None:
+        sensor, notes = older.sensor, (*notes, older.line)
+    return sensor, notes
 
 
 def _at_equal_times(
@@ -253,7 +257,8 @@ def _values(sensor: RangeSensor) -> Floats:
 
 def identify_ray_times(
     sensor: RangeSensor,
-    pieces: TurningPieces | None,
+    pieces: TurningPieces,
+    start: LinearisedPieces,
     motion: Motion,
     settings: RayTimeSettings = RAY_TIMES,
 ) -> RayTimes | None:
@@ -262,15 +267,15 @@ def identify_ray_times(
     Parameters
     ----------
     sensor : With the ray times of the log.
-    pieces : Of a track with these; None: the robot hardly turned.
+    pieces : Of a track with these.
+    start : The pieces, linearised at these.
     motion : Motion of base_link, from the odometry or the track.
     """
-    if pieces is None or CLASSES % sensor.interlaced_sweeps:
+    if CLASSES % sensor.interlaced_sweeps:
         return None
-    values, basis = _values(sensor), sweep_basis(sensor.n_rays)
+    values, basis, equations = _values(sensor), sweep_basis(sensor.n_rays), start
     for step in range(settings.steps):
-        delays = basis @ values
-        found = pieces.estimate(delays, motion, basis)
+        found = equations.estimate(basis)
         change, covariance = found.change, found.covariance
         values = values + change
         covariance += np.eye(CLASSES) * (values[0] / len(basis)) ** 2  # to the time of a ray
@@ -278,6 +283,7 @@ def identify_ray_times(
             return None
         if change @ np.linalg.solve(covariance, change) < settings.settled:
             break
+        equations = pieces.linearised(basis @ values, motion)
     errors = np.sqrt(np.diag(covariance))
     wide = covariance * _small_sample(int(pieces.piece[-1]) + 1, settings)
     return _judge(sensor, values, errors, wide, settings)

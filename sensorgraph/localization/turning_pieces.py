@@ -1,10 +1,11 @@
-"""Estimate the times of the rays in track pieces with many turns: one Gauss-Newton step, with its covariance."""
+"""Estimate the times of the rays in track pieces with many turns: Gauss-Newton steps with their covariances."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
 from logs.motion import Motion
 from logs.run import Run
@@ -12,6 +13,7 @@ from logs.transforms import compose, invert
 from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.refinement import (
+    ReducedSystem,
     conjugate_gradients,
     pose_graph_matrix,
     reduced_system,
@@ -38,6 +40,57 @@ class TimeEstimate:
     """(k, k) [s²] cluster-robust over the pieces."""
     information: Floats
     """(k, k) [1/s²] normal equations after projection on poses and lines."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearisedPieces:
+    """Equations of the times of the rays around delays, n of them."""
+
+    delays: Floats
+    """(n_rays,) [s]"""
+    poses: Floats
+    """(n_frames, 3)"""
+    n_pieces: int
+    piece: Ints
+    """(n,)"""
+    rays: Ints
+    """(n,)"""
+    rows: PointRows
+    system: ReducedSystem
+    preconditioner: sparse.csc_array
+    speeds: Floats
+    """(n,) [m/s] Derivatives of the residuals with respect to the time of their ray."""
+
+    def estimate(self, basis: Floats) -> TimeEstimate:
+        """Return the change of the delays in a basis (n_rays, k)."""
+        s, rows, system = REFINEMENT, self.rows, self.system
+        by = self.speeds[:, None] * basis[self.rays]
+        n, m, weight = system.n_frames, rows.n_patches, rows.weight
+        columns = range(basis.shape[1])
+        by_pose = np.column_stack([
+            np.column_stack([sums_by(rows.frame, weight * rows.by_pose[:, i] * by[:, j], n) for i in range(3)]).ravel()
+            for j in columns
+        ])  # fmt: skip
+        by_line = np.column_stack([
+            np.column_stack([sums_by(rows.patch, weight * rows.by_line[:, i] * by[:, j], m) for i in range(2)]).ravel()
+            for j in columns
+        ])  # fmt: skip
+        rhs = by_pose - system.coupling @ (system.inverse[:, None] * by_line)
+        moved, _ = conjugate_gradients(system, rhs, self.preconditioner, s.tolerance, s.max_steps)
+        lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
+        own = (
+            by
+            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, basis.shape[1])[rows.frame])
+            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, basis.shape[1])[rows.patch])
+        )  # derivatives after projection on poses and lines
+        ridge = np.eye(basis.shape[1]) * RAY_TIMES.delay_sd**-2.0
+        matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
+        change = -np.linalg.solve(matrix, np.einsum("n,ni,n->i", weight, own, rows.residual))
+        left = weight * (rows.residual + own @ change)
+        scores = np.stack([sums_by(self.piece, left * own[:, j], self.n_pieces) for j in columns])
+        inverse = np.linalg.inv(matrix)
+        covariance = inverse @ (scores @ scores.T * self.n_pieces / (self.n_pieces - 1) + ridge) @ inverse
+        return TimeEstimate(change=change, covariance=covariance, information=matrix)
 
 
 def sweep_basis(n_rays: int) -> Floats:
@@ -107,8 +160,8 @@ class TurningPieces:
             ),
         )
 
-    def estimate(self, delays: Floats, motion: Motion, basis: Floats) -> TimeEstimate:
-        """Return the change of the delays (n_rays,) [s] in a basis (n_rays, k)."""
+    def linearised(self, delays: Floats, motion: Motion) -> LinearisedPieces:
+        """Fit poses and lines, with delays (n_rays,) [s], and return the equations of the times of the rays."""
         s = REFINEMENT
         scans = scan_points(self.run, motion, delays=delays)
         keys = np.arange(scans.n_scans)
@@ -118,38 +171,17 @@ class TurningPieces:
         poses = refined.poses
         rows = point_rows(frames, poses, s.last_side, s.last_gate, s.last_sigma)
         system = reduced_system(rows, poses, self.wheels.at(poses))
-        by = self._speeds(rows, poses, motion)[:, None] * basis[scans.rays[rows.index]]
-        n, m, weight = len(poses), rows.n_patches, rows.weight
-        columns = range(basis.shape[1])
-        by_pose = np.column_stack([
-            np.column_stack([sums_by(rows.frame, weight * rows.by_pose[:, i] * by[:, j], n) for i in range(3)]).ravel()
-            for j in columns
-        ])  # fmt: skip
-        by_line = np.column_stack([
-            np.column_stack([sums_by(rows.patch, weight * rows.by_line[:, i] * by[:, j], m) for i in range(2)]).ravel()
-            for j in columns
-        ])  # fmt: skip
-        rhs = by_pose - system.coupling @ (system.inverse[:, None] * by_line)
-        moved, _ = conjugate_gradients(
-            system, rhs, pose_graph_matrix(system, poses, graph), s.tolerance, s.max_steps
+        return LinearisedPieces(
+            delays=delays,
+            poses=poses,
+            n_pieces=int(self.piece[-1]) + 1,
+            piece=self.piece[rows.frame],
+            rays=scans.rays[rows.index],
+            rows=rows,
+            system=system,
+            preconditioner=pose_graph_matrix(system, poses, graph),
+            speeds=self._speeds(rows, poses, motion),
         )
-        lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
-        own = (
-            by
-            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, -1)[rows.frame])
-            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, -1)[rows.patch])
-        )  # derivatives after projection on poses and lines
-        ridge = np.eye(basis.shape[1]) * RAY_TIMES.delay_sd**-2.0
-        matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
-        change = -np.linalg.solve(matrix, np.einsum("n,ni,n->i", weight, own, rows.residual))
-        left = weight * (rows.residual + own @ change)
-        scores = np.stack(
-            [sums_by(self.piece[rows.frame], left * own[:, j], int(self.piece[-1]) + 1) for j in columns]
-        )
-        inverse = np.linalg.inv(matrix)
-        pieces = scores.shape[1]
-        covariance = inverse @ (scores @ scores.T * pieces / (pieces - 1) + ridge) @ inverse
-        return TimeEstimate(change=change, covariance=covariance, information=matrix)
 
     def _speeds(self, rows: PointRows, poses: Floats, motion: Motion) -> Floats:
         """Return the derivatives (n,) [m/s] of the residuals with respect to the time of their ray."""
