@@ -19,6 +19,7 @@ from scipy.special import ndtr, stdtrit
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
+from sensorgraph.localization.bearing_scale import identify_bearing_scale, turned_left
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
@@ -72,9 +73,10 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     is_given = run.meta.get("ray_times") == "robot.yaml"
     dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
     pieces = None if is_given else TurningPieces.of(run, odometry, dense, settings)
-    sensor, notes = (
-        (run.sensor, ()) if pieces is None else _with_ray_times(run.sensor, pieces, motion, settings)
-    )
+    sensor, notes = run.sensor, tuple[str, ...]()
+    if pieces is not None:
+        turned = turned_left(tracked.poses, odometry)
+        sensor, notes = _corrected(run.sensor, pieces, motion, turned, settings)
     is_new, run, notes = sensor is not run.sensor, replace(run, sensor=sensor), (*filled, *notes)
     if is_new or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
@@ -98,12 +100,30 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
     return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes)
 
 
-def _with_ray_times(
-    sensor: RangeSensor, pieces: TurningPieces, motion: Motion, settings: RayTimeSettings
+def _corrected(
+    sensor: RangeSensor,
+    pieces: TurningPieces,
+    motion: Motion,
+    turned: float | None,
+    settings: RayTimeSettings,
 ) -> tuple[RangeSensor, tuple[str, ...]]:
-    """Return the sensor with the ray times that the run shows, and notes about them."""
-    start = pieces.linearised(sensor.ray_delays, motion)
+    """Return the sensor with the ray times and the bearings that the run shows, and notes about them."""
     widening = _small_sample(int(pieces.piece[-1]) + 1, settings)
+    timed, start, notes = _with_ray_times(sensor, pieces, motion, widening, settings)
+    scale = identify_bearing_scale(timed, pieces, start, motion, turned, widening, settings)
+    if scale is None:
+        return timed, notes
+    scaled = scale.of(sensor)
+    pieces = replace(pieces, run=replace(pieces.run, sensor=scaled))
+    timed, _, notes = _with_ray_times(scaled, pieces, motion, widening, settings)
+    return timed, (scale.line, *notes)
+
+
+def _with_ray_times(
+    sensor: RangeSensor, pieces: TurningPieces, motion: Motion, widening: float, settings: RayTimeSettings
+) -> tuple[RangeSensor, LinearisedPieces, tuple[str, ...]]:
+    """Return the sensor with the ray times that the run shows, the pieces linearised at these, and notes about them."""
+    start = pieces.linearised(sensor.ray_delays, motion)
     notes: tuple[str, ...] = ()
     older = identify_older_rays(sensor, pieces, start, motion, widening, settings)
     found = None if older else identify_ray_times(sensor, pieces, start, motion, settings)
@@ -113,7 +133,8 @@ def _with_ray_times(
         older = identify_older_rays(sensor, pieces, start, motion, widening, settings)
     if older is not None:
         sensor, notes = older.sensor, (*notes, older.line)
-    return sensor, notes
+        start = pieces.linearised(sensor.ray_delays, motion)
+    return sensor, start, notes
 
 
 def _at_equal_times(

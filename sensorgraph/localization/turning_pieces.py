@@ -59,35 +59,44 @@ class LinearisedPieces:
     system: ReducedSystem
     preconditioner: sparse.csc_array
     speeds: Floats
-    """(n,) [m/s] Derivatives of the residuals with respect to the time of their ray."""
+    """(n,) [m/s] Derivatives of the residuals with respect to the time of their ray ..."""
+    turned: Floats
+    """(n,) [m/rad] ... and to its bearing."""
 
-    def estimate(self, basis: Floats) -> TimeEstimate:
-        """Return the change of the delays in a basis (n_rays, k)."""
+    def estimate(self, basis: Floats, bearings: Floats | None = None) -> TimeEstimate:
+        """Return the change of the delays in a basis (n_rays, k); with `bearings`, also that of these angles.
+
+        Parameters
+        ----------
+        bearings : (n_rays, m) [rad] Further columns, of which the bearings have a sum.
+        """
         s, rows, system = REFINEMENT, self.rows, self.system
         by = self.speeds[:, None] * basis[self.rays]
+        if bearings is not None:
+            by = np.column_stack([by, self.turned[:, None] * bearings[self.rays]])
         n, m, weight = system.n_frames, rows.n_patches, rows.weight
-        columns = range(basis.shape[1])
+        k = by.shape[1]
         by_pose = np.column_stack([
             np.column_stack([sums_by(rows.frame, weight * rows.by_pose[:, i] * by[:, j], n) for i in range(3)]).ravel()
-            for j in columns
+            for j in range(k)
         ])  # fmt: skip
         by_line = np.column_stack([
             np.column_stack([sums_by(rows.patch, weight * rows.by_line[:, i] * by[:, j], m) for i in range(2)]).ravel()
-            for j in columns
+            for j in range(k)
         ])  # fmt: skip
         rhs = by_pose - system.coupling @ (system.inverse[:, None] * by_line)
         moved, _ = conjugate_gradients(system, rhs, self.preconditioner, s.tolerance, s.max_steps)
         lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
         own = (
             by
-            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, basis.shape[1])[rows.frame])
-            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, basis.shape[1])[rows.patch])
+            - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, k)[rows.frame])
+            - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, k)[rows.patch])
         )  # derivatives after projection on poses and lines
-        ridge = np.eye(basis.shape[1]) * RAY_TIMES.delay_sd**-2.0
+        ridge = np.eye(k) * RAY_TIMES.delay_sd**-2.0
         matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
         change = -np.linalg.solve(matrix, np.einsum("n,ni,n->i", weight, own, rows.residual))
         left = weight * (rows.residual + own @ change)
-        scores = np.stack([sums_by(self.piece, left * own[:, j], self.n_pieces) for j in columns])
+        scores = np.stack([sums_by(self.piece, left * own[:, j], self.n_pieces) for j in range(k)])
         inverse = np.linalg.inv(matrix)
         covariance = inverse @ (scores @ scores.T * self.n_pieces / (self.n_pieces - 1) + ridge) @ inverse
         return TimeEstimate(change=change, covariance=covariance, information=matrix)
@@ -181,6 +190,7 @@ class TurningPieces:
             system=system,
             preconditioner=pose_graph_matrix(system, poses, graph),
             speeds=self._speeds(rows, poses, motion),
+            turned=_turned(rows, poses, scans.starts[rows.index]),
         )
 
     def _speeds(self, rows: PointRows, poses: Floats, motion: Motion) -> Floats:
@@ -194,3 +204,11 @@ class TurningPieces:
             cos * velocity[:, 0] - sin * velocity[:, 1], sin * velocity[:, 0] + cos * velocity[:, 1], velocity[:, 2]
         ])  # fmt: skip
         return np.asarray(np.einsum("ni,ni->n", rows.by_pose, in_map[rows.frame]))
+
+
+def _turned(rows: PointRows, poses: Floats, starts: Floats) -> Floats:
+    """Return the derivatives (n,) [m/rad] of the residuals with respect to the bearing, by the origins (n, 2) of rays."""
+    heading = poses[rows.frame, 2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y = cos * starts[:, 0] - sin * starts[:, 1], sin * starts[:, 0] + cos * starts[:, 1]
+    return np.asarray(rows.by_pose[:, 2] + rows.by_pose[:, 0] * y - rows.by_pose[:, 1] * x)

@@ -1,4 +1,4 @@
-"""Nodes: two that publish one thing, drivers that are started again or send again, odometry of mixed frames and units, parts of the robot."""
+"""Nodes: two that publish one thing, drivers that are started again or send again, odometry of mixed frames and units, parts of the robot, steps."""
 
 from __future__ import annotations
 
@@ -234,8 +234,25 @@ def parts_of_robot(start: Start) -> Draft:
     return draft
 
 
+@of(reference=0.0)
+def wrong_step(start: Start, draft: Draft) -> None:
+    """The driver believes in another angle between rays, and states bearings that fit it."""
+    factor, n = start.pick((0.97, 1.02, 1.03, 1.05)), draft.laser.n
+    if abs(draft.laser.stride * n * factor) > 360:
+        factor = 2 - factor
+    ahead = start.chance()  # the first ray is right, or the middle
+    for item in draft.scans:
+        c = item.content
+        step = c["angle_increment"] * factor
+        if not ahead:
+            c["angle_min"] -= 0.5 * (step - c["angle_increment"]) * (n - 1)
+        c |= {"angle_increment": step, "angle_max": c["angle_min"] + step * (n - 1)}
+    draft.said = "step of the bearings"
+
+
 NODES = named(
     two_publishers, drifting_publisher, publisher_of_zeros, transforms_of_two, odometry_starts_again,
     field_changes, order_changes, sent_again, stamped_in_bursts, sectors, mirrored_positions,
     twist_in_odometry, twist_in_degrees, compass_heading, sideways, parts_of_robot,
+    wrong_step,
 )  # fmt: skip

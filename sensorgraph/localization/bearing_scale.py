@@ -1,0 +1,109 @@
+"""A wrong angle between the rays: found from the run itself.
+
+With bearings that are 3 % too wide, a turning robot sees the same walls from several headings in different shapes. The scale
+of the bearings is one more unknown of the equations of the ray times (`turning_pieces`), so that a sweep, which also
+stretches the scans of a robot that turns to one side, is not taken for it, nor are wheels that turn too much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.motion import Motion
+from logs.run import RangeSensor
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings
+from sensorgraph.localization.turning_pieces import LinearisedPieces, TurningPieces, sweep_basis
+from sensorgraph.types import Floats
+
+LEAST = 0.005
+"""Minimum relative error of the step that is corrected: 0.7° at either end of a view of 270°."""
+MAX_STEPS = 20
+"""Maximum number of Gauss-Newton steps."""
+SPAN = 10
+"""Number of scans over which the directions of motions are compared ..."""
+MIN_WAY = 0.1
+"""[m] ... if the robot moves so far meanwhile."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BearingScale:
+    """The right step of the bearings, relative to the stated one."""
+
+    value: float
+    stderr: float
+    kept: str
+    """Ray whose bearing is right: first, middle or last."""
+
+    def of(self, sensor: RangeSensor) -> RangeSensor:
+        """Return a sensor with the right bearings."""
+        at = _kept(sensor)[self.kept]
+        return replace(sensor, bearings=at + self.value * (sensor.bearings - at))
+
+    @property
+    def line(self) -> str:
+        """One line for the user."""
+        return (
+            f"the step of the bearings is {self.value:.3f} ± {self.stderr:.4f} of the stated one: corrected, with the "
+            f"bearing of the {self.kept} ray as stated (check `angle_increment`)"
+        )
+
+
+def identify_bearing_scale(
+    sensor: RangeSensor,
+    pieces: TurningPieces,
+    start: LinearisedPieces,
+    motion: Motion,
+    turned: float | None,
+    widening: float,
+    settings: RayTimeSettings = RAY_TIMES,
+) -> BearingScale | None:
+    """Return the right step of the bearings; None if the run confirms the stated one.
+
+    Parameters
+    ----------
+    sensor : With the ray times that the run shows.
+    start : `pieces`, linearised at these.
+    motion : Motion of base_link, from the odometry or the track.
+    turned : [rad] From `turned_left`; of the first, the middle and the last ray, that is kept which explains it best. None: the first one.
+    widening : Factor of the covariances, as there are few pieces.
+    """
+    basis, bearings = sweep_basis(sensor.n_rays), sensor.bearings - sensor.bearings.mean()
+    scale, times, equations = 1.0, np.zeros(basis.shape[1]), start
+    for step in range(MAX_STEPS):
+        found = equations.estimate(basis, bearings[:, None])
+        change, variance = float(found.change[-1]), float(found.covariance[-1, -1])
+        if step == 0 and abs(change) < 0.5 * LEAST:  # it finds half, or more
+            return None
+        scale, times = scale + change, times + found.change[:-1]
+        if abs(change) < 0.1 * LEAST:
+            break
+        scaled = replace(sensor, bearings=sensor.bearings.mean() + scale * bearings)
+        there = replace(pieces, run=replace(pieces.run, sensor=scaled))
+        equations = there.linearised(sensor.ray_delays + basis @ times, motion)
+    off = scale - 1.0
+    is_sure = off**2 > widening * settings.min_gain * variance
+    if abs(change) >= 0.1 * LEAST or abs(off) < LEAST or not is_sure:
+        return None
+    kept = _kept(sensor)
+    distances = {name: abs(off * (at - kept["middle"]) - (turned or 0.0)) for name, at in kept.items()}
+    name = "first" if turned is None else min(distances, key=lambda one: distances[one])
+    return BearingScale(value=scale, stderr=float(np.sqrt(variance)), kept=name)
+
+
+def _kept(sensor: RangeSensor) -> dict[str, float]:
+    """Return the bearings that may be right."""
+    first, last = map(float, sensor.bearings[[0, -1]])
+    return {"first": first, "middle": 0.5 * (first + last), "last": last}
+
+
+def turned_left(tracked: Floats, odometry: Floats | None) -> float | None:
+    """Return the angle [rad] by which scans (n_scans, 3) move to the left of the odometry; None if it is not known."""
+    if odometry is None or len(odometry) <= SPAN:
+        return None
+    a, b = (compose(invert(poses[:-SPAN]), poses[SPAN:]) for poses in (tracked, odometry))
+    far = np.hypot(b[:, 0], b[:, 1]) > MIN_WAY
+    angles = wrap(np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0]))[far]
+    return float(np.median(angles)) if far.any() else None

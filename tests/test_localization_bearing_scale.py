@@ -1,0 +1,87 @@
+"""A driver that believes in another angle between rays; wheels that turn too much, and a sweep, are not that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import further
+from localization_samples import loop_poses, room_run, seen
+
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.locate import locate, located_run
+
+TRUTH = loop_poses(200)
+FOV = np.radians(270.0)
+
+
+def front() -> Run:
+    """Return a run of a laser that sees 270 degrees."""
+    run = room_run(TRUTH, n_rays=240)
+    seen = np.abs(run.sensor.bearings) <= FOV / 2
+    sensor = replace(run.sensor, bearings=run.sensor.bearings[seen])
+    return replace(run, sensor=sensor, ranges=run.ranges[:, seen])
+
+
+@pytest.mark.parametrize(("factor", "kept"), [(1.03, 0), *further((0.975, 90), (1.03, -1))])
+def test_a_wrong_step_of_the_bearings_is_found_and_corrected(factor: float, kept: int) -> None:
+    run = front()
+    true = run.sensor.bearings
+    stated = true[kept] + factor * (true - true[kept])
+    run = replace(run, sensor=replace(run.sensor, bearings=stated))
+    found = locate(run)
+    assert any("step of the bearings" in note for note in found.notes)
+    off = compose(compose(TRUTH[0], invert(found.poses[0])), found.poses) - TRUTH
+    assert np.hypot(*off[:, :2].T).max() < 0.03  # [m] three times the noise of a range
+    assert np.abs(wrap(off[:, 2])).max() < np.radians(0.5)
+    # [rad] 0.2 % of the field of view
+    np.testing.assert_allclose(located_run(run, found).sensor.bearings, true, atol=0.01)
+
+
+@pytest.mark.parametrize("factor", [1.04, *further(0.95, 1.0)])
+def test_wheels_that_turn_too_much_leave_the_bearings_as_stated(factor: float) -> None:
+    run = front()
+    steps = compose(invert(run.odometry[:-1]), run.odometry[1:]) * [1.0, 1.0, factor]
+    odometry = [run.odometry[0]]
+    for step in steps:
+        odometry.append(compose(odometry[-1], step))
+    found = locate(replace(run, odometry=np.array(odometry)))
+    assert not any("step of the bearings" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_the_scans_alone_show_it_and_the_first_bearing_is_believed() -> None:
+    run = front()
+    true = run.sensor.bearings
+    stated = true[0] + 1.03 * (true - true[0])
+    alone = replace(
+        run,
+        sensor=replace(run.sensor, bearings=stated),
+        odom_stamps=np.zeros(0),
+        odometry=np.zeros((0, 3)),
+        odom_twists=np.zeros((0, 2)),
+    )
+    found = locate(alone)
+    assert any("bearing of the first ray as stated" in note for note in found.notes)
+    np.testing.assert_allclose(located_run(alone, found).sensor.bearings, true, atol=0.01)
+
+
+@pytest.mark.slow
+def test_a_sweep_that_the_log_does_not_state_leaves_the_bearings() -> None:
+    """On a robot that always turns to the left, a sweep of 0.15 s narrows the view by 1.5 %."""
+    run, laps = front(), 3.0
+    n, bearings = len(run.stamps), run.sensor.bearings
+    per_scan = n / (2 * np.pi * laps) / run.sensor.rate  # [s] per rad of the loop
+    late = 0.15 * np.linspace(0.0, 1.0, len(bearings)) / per_scan  # [rad] of the loop
+    columns = []
+    for bearing, more in zip(bearings, late, strict=True):
+        t = np.linspace(0.0, 2 * np.pi * laps, n) + more
+        poses = np.column_stack([3.2 + 1.5 * np.cos(t), 2.6 + 1.5 * np.sin(t), t + np.pi / 2])
+        columns.append(seen(poses, np.array([bearing])))
+    noise = 0.01 * np.random.default_rng(1).normal(size=run.ranges.shape)
+    odometry = compose(invert(loop_poses(n, laps=laps)[0]), loop_poses(n, laps=laps))
+    odometry[:, 2] = np.unwrap(odometry[:, 2])
+    swept = replace(run, ranges=np.concatenate(columns, axis=1) + noise, odometry=odometry)
+    assert not any("step of the bearings" in note for note in locate(swept).notes)
