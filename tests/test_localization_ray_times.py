@@ -304,6 +304,16 @@ def test_a_long_lag_is_found_whole_and_the_odometry_is_taken_at_the_times_of_the
     assert np.abs(off - off.mean()).max() < 0.03
 
 
+def test_clocks_that_drift_apart_say_nothing_of_where_a_sweep_is_stamped() -> None:
+    """The mean lag of 50 ms is that of a stamp in the middle of the sweep of 0.1 s."""
+    run = run_as_stated()
+    found = followed(replace(run, odom_stamps=run.odom_stamps + 0.1 * (run.odom_stamps / SECONDS - 1.0)))
+    (note,) = (note for note in found.notes if "lag of the scans" in note)
+    drift = float(re.search(r"drifting by \+(\d+)", note)[1])  # type: ignore[index]
+    assert drift == pytest.approx(100, abs=10)
+    assert found.run.sensor is run.sensor
+
+
 def test_a_small_error_of_the_delays_of_classes_does_not_keep_an_invented_sweep() -> None:
     """The run shows no sweep; 0.4 ms between the ray classes is 3 % of a mirror period, and the motion has an error of 10 %."""
     stated = replace(run_of(np.zeros(N_RAYS)).sensor, sweep_time=0.1)

@@ -6,7 +6,8 @@ model is
     Δφ_k = a Δφ'_k + a d (ω'_{k+1} - ω'_k) + e_k.
 
 The lag d [s] is the time by which the scans must be shifted to match the odometry: positive if a scan was taken later
-than its stamp. Its standard error is cluster-robust over segments of the log (Liang and Zeger 1986).
+than its stamp. Two clocks that drift apart have a lag d + b τ at the share τ of the log, from -1/2 to 1/2. The standard errors
+are cluster-robust over segments of the log (Liang and Zeger 1986).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
 from sensorgraph.robust import robust_sigma
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Ints
 
 N_STEPS = 4
 """Number of linear steps; each leaves a small share of the lag."""
@@ -35,6 +36,10 @@ class ScanLag:
     value: float
     """[s] A scan was taken this much later than its stamp, by the clock of the odometry."""
     stderr: float
+    """[s]"""
+    drift: float = 0.0
+    """[s] Change from the begin to the end of the log; 0: not significant."""
+    drift_stderr: float = 0.0
     """[s]"""
 
 
@@ -55,8 +60,9 @@ def scan_lag(
         more = _linear_lag(run.stamps + found.value, motion, tracked, settings)
         if more is None:
             break
-        found = ScanLag(value=found.value + more.value, stderr=more.stderr)
-        if abs(more.value) < settings.min_lag:
+        is_close = abs(more.value) < settings.min_lag
+        found = replace(more, value=found.value + more.value)
+        if is_close:
             break
     return found
 
@@ -75,26 +81,37 @@ def _linear_lag(
     odometry, rate = motion.at(stamps)[:, 2], _turn_rate(motion, stamps, s.rate_interval)
     driven, change = np.diff(odometry), np.diff(rate)
     both &= step < s.max_steps * np.median(step[step > 0]) if (step > 0).any() else False
-    x, y = np.column_stack([driven, change])[both], seen[both]
+    share = np.linspace(-0.5, 0.5, len(step))
+    x, y = np.column_stack([driven, change, change * share])[both], seen[both]
     segment = (np.flatnonzero(both) * s.segments) // max(len(step), 1)
     if len(y) < s.min_scans or (change[both] ** 2).sum() < s.min_change**2 * len(y):
         return None
+    drifting, covariance = _robust_fit(x, y, segment, s)
+    drift, stderr = drifting[2] / drifting[0], np.sqrt(covariance[2, 2]) / drifting[0]
+    is_drifting = drifting[0] > s.min_slope and abs(drift) > max(s.z * stderr, s.min_lag)
+    beta, covariance = (drifting, covariance) if is_drifting else _robust_fit(x[:, :2], y, segment, s)
+    if not beta[0] > s.min_slope:
+        return None
+    lag = ScanLag(value=float(beta[1] / beta[0]), stderr=float(np.sqrt(covariance[1, 1]) / beta[0]))
+    return replace(lag, drift=float(drift), drift_stderr=float(stderr)) if is_drifting else lag
+
+
+def _robust_fit(x: Floats, y: Floats, segment: Ints, settings: ScanLagSettings) -> tuple[Floats, Floats]:
+    """Return the coefficients (k,) of y (n,) in x (n, k), robust to outliers, and their covariance (k, k) by segments (n,)."""
+    s, k = settings, x.shape[1]
     weight = np.ones(len(y))
-    inverse: Floats = np.eye(2)
-    beta: Floats = np.zeros(2)
+    inverse: Floats = np.eye(k)
+    beta: Floats = np.zeros(k)
     for _ in range(s.rounds):
-        inverse = np.asarray(np.linalg.inv(x.T @ (x * weight[:, None]) + 1e-12 * np.eye(2)))
+        inverse = np.asarray(np.linalg.inv(x.T @ (x * weight[:, None]) + 1e-12 * np.eye(k)))
         beta = inverse @ (x.T @ (weight * y))
         left = y - x @ beta
         scale = robust_sigma(left) + 1e-9
         weight = 1.0 / (1.0 + (left / (s.outlier * scale)) ** 2)
     scores = np.stack(
-        [(x[segment == k] * (weight * left)[segment == k, None]).sum(axis=0) for k in range(s.segments)]
+        [(x[segment == i] * (weight * left)[segment == i, None]).sum(axis=0) for i in range(s.segments)]
     )
-    covariance = inverse @ (scores.T @ scores * s.segments / (s.segments - 1)) @ inverse
-    if not beta[0] > s.min_slope:
-        return None
-    return ScanLag(value=float(beta[1] / beta[0]), stderr=float(np.sqrt(covariance[1, 1]) / beta[0]))
+    return beta, np.asarray(inverse @ (scores.T @ scores * s.segments / (s.segments - 1)) @ inverse)
 
 
 def _turn_rate(motion: Motion, stamps: Floats, interval: float) -> Floats:
@@ -110,13 +127,15 @@ def with_stamp_of(
 
     Drivers stamp a scan at any of the three, and the odometry has its own latency. So the nearest one counts if the
     lag agrees with it, or if the remainder is a likely latency and less than half as far from it as from the next. Any
-    other lag is reported only, since it may be in either clock.
+    other lag is reported only, since it may be in either clock; so is that of clocks that drift apart.
     """
     sensor, delays = run.sensor, run.sensor.ray_delays
     text = f"{1e3 * lag.value:+.0f} ± {1e3 * lag.stderr:.1f} ms"
-    if abs(lag.value) < max(settings.z * lag.stderr, settings.min_lag):
+    if lag.drift:
+        text += f", drifting by {1e3 * lag.drift:+.0f} ± {1e3 * lag.drift_stderr:.1f} ms over the log"
+    elif abs(lag.value) < max(settings.z * lag.stderr, settings.min_lag):
         return run, ()
-    if sensor.scan_duration > settings.min_lag:
+    elif sensor.scan_duration > settings.min_lag:
         first, last = float(delays.min()), float(delays.max())
         shifts = {"begin": -first, "middle": -float(delays.mean()), "end": -last}
         where, second, _ = sorted(shifts, key=lambda name: abs(shifts[name] - lag.value))

@@ -40,6 +40,8 @@ FIRST_RAY = 2e-3
 """[s] to which a stamp is that of the first ray."""
 LEFT = "they were left as they are"
 """A stated difference of clocks that is not corrected, so that the poses have it too."""
+ALIGNED = 0.02
+"""[m, rad] Error beyond its stated deviation from which a pose counts less in the alignment."""
 STEADY = 0.02
 """[s] to which the stamps of a clock at another rate lie on a line; also the least difference of a rate."""
 MATCH = 1e-4
@@ -173,7 +175,7 @@ def _compare(
         return
     poses, sigma = found.poses[used], deviations(found)[used]
     gauges = set(draft.gauges)
-    wrong = errors_of(draft, when, poses, gauges)
+    wrong = errors_of(draft, when, poses, gauges, sigma)
     length = np.hypot(wrong[:, 0], wrong[:, 1])
     toward = np.where(length[:, None] > 0, wrong[:, :2] / np.maximum(length, 1e-12)[:, None], 0.0)
     stated = np.sqrt(np.square(toward * sigma[:, :2]).sum(axis=1))
@@ -233,7 +235,8 @@ def pose_times(draft: Draft, run: Run, sensor: RangeSensor, scans: Any, used: ND
 def stated_lag(said: str) -> float:
     """Return the lag [s] of the scans behind their stamps that `locate` states and leaves in the poses; 0: none."""
     found = re.search(
-        r"lag of the scans relative to the odometry: ([-+][0-9.]+) .*poses are given at the stamps", said
+        r"lag of the scans relative to the odometry: ([-+][0-9.]+) ± [0-9.]+ ms; poses are given at the stamps",
+        said,
     )
     return 0.0 if found is None else float(found.group(1)) / 1e3
 
@@ -256,10 +259,11 @@ def stamp_times(draft: Draft, sensor: RangeSensor, scans: Any, stamps: Floats) -
     return np.asarray(taken - sensor.ray_delays.mean() / rate)
 
 
-def errors_of(draft: Draft, when: Floats, poses: Floats, gauges: set[str]) -> Floats:
+def errors_of(draft: Draft, when: Floats, poses: Floats, gauges: set[str], sigma: Floats) -> Floats:
     """Return the errors (n, 3) [m, m, rad] of poses after the alignment of what a log cannot show.
 
-    The map is free, and so is, by `gauges`, the mount of the laser.
+    The map is free, and so is, by `gauges`, the mount of the laser. Poses of large stated deviation `sigma` (n, 3) count
+    less.
     """
     free = ["x", "y", "phi"]
     free += ["bx", "by"] if "lever" in gauges else []
@@ -276,6 +280,7 @@ def errors_of(draft: Draft, when: Floats, poses: Floats, gauges: set[str]) -> Fl
         e[:, 2] = np.pi - (np.pi - e[:, 2]) % (2 * np.pi)
         return e
 
+    scale = np.hypot(ALIGNED, sigma)
     best: Any = None
     turns = (0.0, np.pi, np.pi / 2, -np.pi / 2) if "yaw" in gauges else (0.0,)
     for turn in turns:
@@ -284,6 +289,6 @@ def errors_of(draft: Draft, when: Floats, poses: Floats, gauges: set[str]) -> Fl
         if "yaw" in gauges:
             start[free.index("bphi")] = turn
         start[:3] = compose(poses[k], inverse(compose(truth[k], np.array([0.0, 0.0, turn]))))
-        fit = least_squares(lambda v: (50.0 * difference(v)).ravel(), start, loss="soft_l1", x_scale="jac")
+        fit = least_squares(lambda v: (difference(v) / scale).ravel(), start, loss="soft_l1", x_scale="jac")
         best = fit if best is None or fit.cost < best.cost else best
     return difference(best.x)
