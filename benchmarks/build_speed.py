@@ -7,14 +7,13 @@ Compilation is done before (on 300 scans).
 
 from __future__ import annotations
 
-import resource
-import time
 from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import peak_memory, timed
 from logs.run import RangeSensor, Run
 from planners.maps import geojson
 from sensorgraph.building.build import build
@@ -36,14 +35,12 @@ def main() -> None:
     options = parser.parse_args()
     build([recording(300)])
     run = recording(options.scans)
-    wall, cpu = time.perf_counter(), time.process_time()
-    graph = build([run])
-    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    print(
-        f"{options.scans:,} scans x {graph.sensor.n_rays} rays: {cpu:.2f} s of one core, {wall:.2f} s by the clock"
-    )
+    with timed() as took:
+        graph = build([run])
+    size = f"{options.scans:,} scans x {graph.sensor.n_rays} rays"
+    print(f"{size}: {took.cpu:.2f} s of one core, {took.wall:.2f} s by the clock")
     print("; ".join(f"{label}: {text}" for label, text in graph.model.summary().items()))
-    print(f"memory at its highest: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:,.0f} MiB")
+    print(f"memory at its highest: {peak_memory():,.0f} MiB")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ runs, and prints how many were given a name or a doubt.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 import sensorgraph as sg
 from benchmarks.arguments import parser_of
 from benchmarks.hidden_effects.case import geojson as written
+from benchmarks.measures import timed
 from planners.maps import geojson
 from sensorgraph.world.robot import parse_robot
 
@@ -113,9 +113,9 @@ def main() -> None:
             run = sg.record(plan, robot=robot, seed=seed)
             if run.meta["contacts"] != "0":
                 raise SystemExit(f"{name}, seed {seed}: the robot touched a wall; give it a wider berth")
-            begin = time.process_time()
-            finding = sg.diagnose(run)
-            seconds.append(time.process_time() - begin)
+            with timed() as took:
+                finding = sg.diagnose(run)
+            seconds.append(took.cpu)
             minutes = float(run.stamps[-1] - run.stamps[0]) / 60
             named += bool(finding.effects)
             doubts += [(seed, a.name) for a in finding.effects]

@@ -18,6 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import timed
 from sensorgraph.show.figures.style import AMBER, INK, TEAL, TEXT, new_figure, save_figure
 
 LISTENER = '''
@@ -90,18 +91,17 @@ def timed_demo(folder: Path, name: str) -> Timed:
         "NUMBA_CACHE_DIR": str(folder / "cache"),
         "FIRST_RUN_LOG": str(log),
     }
-    before = os.times()
     command = [sys.executable, "-m", "sensorgraph", "demo", "-o", str(folder / f"{name}-demo")]
     began = time.time()
-    done = subprocess.run(
-        command,
-        env=os.environ | variables,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        check=True,
-    )
-    after = os.times()
+    with timed() as took:
+        done = subprocess.run(
+            command,
+            env=os.environ | variables,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            check=True,
+        )
     kernels: Counter[str] = Counter()
     processes = []
     for file in sorted(log.iterdir(), key=lambda file: float(file.read_text().split()[0])):
@@ -112,8 +112,8 @@ def timed_demo(folder: Path, name: str) -> Timed:
         outer = tuple((float(a) - began, float(b) - began) for depth, a, b, *_ in calls if depth == "0")
         processes.append((float(first) - began, outer))
     return Timed(
-        cpu=after.children_user + after.children_system - before.children_user - before.children_system,
-        wall=after.elapsed - before.elapsed,
+        cpu=took.cpu,
+        wall=took.wall,
         stages=tuple((stage, float(at)) for at, stage in STAGE.findall(done.stdout)),
         processes=tuple(processes),
         kernels=kernels,

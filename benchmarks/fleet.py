@@ -29,7 +29,7 @@ import numpy as np
 import logs
 import sensorgraph as sg
 from benchmarks.arguments import existing, parser_of
-from benchmarks.measures import cpu
+from benchmarks.measures import timed
 from logs.run import Run
 from logs.transforms import wrap
 from sensorgraph.surveying.quantities import LABELS, quantities_of
@@ -166,13 +166,10 @@ def command(folder: Path, out: Path, workers: int) -> list[str]:
 
 def run(folder: Path, workers: int) -> None:
     """Survey the fleet, and compare with what was planted."""
-    begin = time.monotonic()
-    with cpu() as took:
+    with timed() as took:
         subprocess.run(command(folder, folder / "fleet", workers), check=True)
     compare(folder)
-    print(
-        f"wall {time.monotonic() - begin:.0f} s; CPU of the coordinator and of ended processes {took[0]:.0f} s"
-    )
+    print(f"wall {took.wall:.0f} s; CPU of the coordinator and of ended processes {took.cpu:.0f} s")
 
 
 def compare(folder: Path) -> None:

@@ -10,7 +10,6 @@ dependency: `pip install -e ".[peers]"`; without them `peers` says so.
 from __future__ import annotations
 
 import os
-import resource
 import time
 from collections.abc import Callable
 
@@ -18,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.arguments import parser_of
-from benchmarks.measures import fastest
+from benchmarks.measures import fastest, peak_memory, timed
 from benchmarks.raycast import arena_of, box
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
 from robotmodic_ident.selection.model_size import Search
@@ -215,9 +214,9 @@ def peers(n_peer_rays: int) -> None:
         times, own, same = [], [], 0
         for ray in rays:
             own.append(fastest(ours, 3))  # in turn, so that both meet the same machine
-            start = time.process_time()
-            theirs = run(columns, terms, ranges[:, ray], 20)
-            times.append(time.process_time() - start)
+            with timed() as took:
+                theirs = run(columns, terms, ranges[:, ray], 20)
+            times.append(took.cpu)
             kept = ["1"] if run is fastcan_order else []  # it centres: the constant comes first
             single = Moments(terms, 1, scale=scale).add(columns, ranges[:, ray])
             order = select(single, 20 + len(kept), keep=kept).order[0, len(kept) :]
@@ -281,10 +280,9 @@ def streaming(n_poses: int) -> None:
         moments.add(columns, ranges)
         making, adding = making + made - clock, adding + time.process_time() - made
     chosen = fastest(lambda: select(moments, 20), 3)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
         f"{n_rays} rays x {n_poses} poses, {len(terms)} terms: moments {adding:.2f} s, selection {1e3 * chosen:.0f} ms, "
-        f"data made in {making:.2f} s, peak memory {peak:.0f} MB"
+        f"data made in {making:.2f} s, peak memory {peak_memory():.0f} MB"
     )
 
 

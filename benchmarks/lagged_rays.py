@@ -14,10 +14,10 @@ returned last), `polynomial` and `faces`. Seconds are of this process (CPU), rea
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import timed
 from logs import read
 from sensorgraph.building.build import build
 from sensorgraph.evaluation.evaluate import evaluate
@@ -35,11 +35,9 @@ def main() -> None:
     run, fresh = read(arguments.run), read(arguments.fresh)
     rows: dict[str, Metrics] = {}
     for name in ("narmax", "polynomial", "faces"):
-        start = time.process_time()
-        graph = build([run], model=name)
-        print(
-            f"{name}: {time.process_time() - start:.1f} s for {run.n_scans:,} scans of {run.sensor.n_rays} rays"
-        )
+        with timed() as took:
+            graph = build([run], model=name)
+        print(f"{name}: {took.cpu:.1f} s for {run.n_scans:,} scans of {run.sensor.n_rays} rays")
         for label, text in graph.model.summary().items():
             print(f"  {label}: {text}")
         found = evaluate(graph, fresh)

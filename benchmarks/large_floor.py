@@ -9,11 +9,10 @@ The floor is `benchmarks/offices.py`'s: random rooms with doors and furniture, n
 
 from __future__ import annotations
 
-import resource
 import sys
-import time
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import peak_memory, timed
 from benchmarks.offices import office
 from benchmarks.places import vehicle
 from planners import plan
@@ -29,8 +28,8 @@ def main() -> None:
     arena = geojson.loads(office(0, width=options.side, depth=options.side, rooms=options.rooms))
     robot = vehicle("diff")
     plan(geojson.loads(office(0, width=4.0, depth=4.0, rooms=1)), robot, cell=0.5, headings=4)  # compiles
-    began, cpu = time.perf_counter(), time.process_time()
-    report = plan(arena, robot, cell=0.25, headings=16, progress=said).report
+    with timed() as took:
+        report = plan(arena, robot, cell=0.25, headings=16, progress=said).report
     if sys.stderr.isatty():
         sys.stderr.write("\n")
     bins = report["reachable_cells"]
@@ -40,9 +39,9 @@ def main() -> None:
         f"T/Tref {report['ratio']:.3f}, {report['drive_time_s'] / 3600:.1f} h, {report['path_m'] / 1000:.1f} km, "
         f"{report['limit_violations']} violations, clearance {report['min_clearance_m']:.3f} m; "
         f"joins {joins['direct']} direct, {joins['planned']} planned, {joins['failed']} failed; "
-        f"planned in {time.perf_counter() - began:.0f} s ({time.process_time() - cpu:.0f} s of processor, "
+        f"planned in {took.wall:.0f} s ({took.cpu:.0f} s of processor, "
         f"{1e4 * report['planning_s'] / bins:.1f} s per 10,000 bins); "
-        f"most memory {peak():.2f} GiB"
+        f"most memory {peak_memory(with_children=True) / 1024:.2f} GiB"
     )
 
 
@@ -51,15 +50,6 @@ def said(done: int, total: int) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(f"\r{done:,} of {total:,} bins")
     sys.stderr.flush()
-
-
-def peak() -> float:
-    """Return the most memory [GiB] of this process and of the largest of OMPL's."""
-    own, children = (
-        resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    unit = 1 if sys.platform == "darwin" else 1024  # [B]
-    return (own + children) * unit / 2**30
 
 
 if __name__ == "__main__":

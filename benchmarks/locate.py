@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 import logs
 from benchmarks.arguments import parser_of
-from benchmarks.measures import cpu
+from benchmarks.measures import timed
 from benchmarks.places import arena_named
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
@@ -194,17 +194,17 @@ def compare_sharpness(data: Path) -> None:
     for name in RAW:
         run = raw(data, name)
         map_run(run.take_scans(slice(50)))  # compiles
-        with cpu() as took:
+        with timed() as took:
             found = map_run(run)
-        print(f"{name}: {run.duration / took[0]:.0f} x real time on one core; {found.wheels}")
+        print(f"{name}: {run.duration / took.cpu:.0f} x real time on one core; {found.wheels}")
         print("\n".join(f"  {note}" for note in found.notes if "sweep" in note))
         chosen, theirs = published_poses(data, name, run)
         if not len(chosen):
             print("  the published log holds other rays")
             continue
         for label, poses in (("published", theirs), ("located", found.poses[chosen])):
-            timed = run if label == "published" else replace(run, sensor=found.sensor or run.sensor)
-            d = 100 * sharpness(*in_map(timed, chosen, poses))
+            taken = run if label == "published" else replace(run, sensor=found.sensor or run.sensor)
+            d = 100 * sharpness(*in_map(taken, chosen, poses))
             print(
                 f"  {label:10s} {len(chosen)} scans: median {np.median(d):.2f} cm, within 5 cm {np.mean(d < 5):.3f}, "
                 f"within 2 cm {np.mean(d < 2):.3f}"
@@ -257,20 +257,20 @@ def compare_offices(seeds: int, first: int) -> None:
     places, inside, sizes, whole = [], [], [], []
     for seed in range(first, first + seeds):
         run, truth = office_run(seed)
-        with cpu() as took:
+        with timed() as took:
             found = map_run(run)
         errors, turn = aligned(found.poses, truth)
         place, covered, z = judged(errors, turn, found)
         places.append(place)
         inside.append(covered)
         sizes.append(z)
-        whole.append((np.abs(errors[:, :2]).max(), run.duration / took[0]))
+        whole.append((np.abs(errors[:, :2]).max(), run.duration / took.cpu))
         lost = sum(status != "ok" for status in found.status)
         print(
             f"office {seed}: {run.n_scans} scans, {run.duration:.0f} s, ATE {100 * place:.2f} cm, largest "
             f"{100 * np.hypot(*errors[:, :2].T).max():.2f} cm, within 2 s.e. {covered.round(3)}, rms z {z.round(2)}, "
             f"{len(found.kept)} closures, {len(found.refused)} refused, {lost} lost; {found.wheels}, "
-            f"{run.duration / took[0]:.0f} x real time"
+            f"{run.duration / took.cpu:.0f} x real time"
         )
     rms = 100 * np.array(places)
     print(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import resource
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
@@ -27,12 +29,29 @@ def processor_time() -> float:
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
+@dataclass
+class Took:
+    """What a block took."""
+
+    cpu: float = 0.0
+    """[s] of the processor, with that of the processes that it ended."""
+    wall: float = 0.0
+    """[s]"""
+
+
 @contextmanager
-def cpu() -> Iterator[list[float]]:
-    """Measure the processor time [s] that a block takes, with that of the processes that it ends."""
-    took = [processor_time()]
+def timed() -> Iterator[Took]:
+    """Measure the time of a block; it is known after the block."""
+    took, cpu, wall = Took(), processor_time(), time.perf_counter()
     yield took
-    took[0] = processor_time() - took[0]
+    took.cpu, took.wall = processor_time() - cpu, time.perf_counter() - wall
+
+
+def peak_memory(*, with_children: bool = False) -> float:
+    """Return the most memory [MiB] of this process, and of the largest that it has ended."""
+    counted = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)[: 1 + with_children]
+    unit = 1 if sys.platform == "darwin" else 1024  # [B]
+    return sum(resource.getrusage(who).ru_maxrss for who in counted) * unit / 2**20
 
 
 def fastest(

@@ -11,7 +11,6 @@ compared, per second of drive. The drives, their noise and the rooms come from s
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from benchmarks.arguments import parser_of
 from benchmarks.drives import drive_and_log
 from benchmarks.hidden_effects.worlds.own.world import make_room
+from benchmarks.measures import timed
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
@@ -122,9 +122,8 @@ def main() -> None:
         seconds = 60 * options.minutes
         first = random_drive(space, rng, seconds).trajectory()
         _, b = nats(measured(first, arena, robot, a, seed), a, b)
-        clock = time.process_time()
-        chosen = next_run([between([a], [b])], arena, robot, seed=seed, minutes=options.minutes)
-        clock = time.process_time() - clock
+        with timed() as took:
+            chosen = next_run([between([a], [b])], arena, robot, seed=seed, minutes=options.minutes)
         got = []
         for k in range(options.random):
             other = random_drive(space, rng, seconds).trajectory()
@@ -136,7 +135,7 @@ def main() -> None:
         ratios[name], medians[name] = best / max(median, 1.0), median
         print(
             f"{name:34} {best:9.0f} {median:8.0f} {max(got):8.0f} {ratios[name]:6.1f}   {chosen.evidence:8.0f} "
-            f"{chosen.evidence / max(chosen.median_random_evidence, 1e-9):9.1f} {clock:6.2f} s"
+            f"{chosen.evidence / max(chosen.median_random_evidence, 1e-9):9.1f} {took.cpu:6.2f} s"
         )
         print(f"    {chosen.why}")
     kinds = {

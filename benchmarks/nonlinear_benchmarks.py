@@ -10,7 +10,6 @@ from the first 50 outputs and is scored after them, as the packages nonlinear_be
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import timed
 from robotmodic_ident import AutoFit, auto_fit
 
 FOLDER = Path("../shared/data/nonlinear-benchmarks")
@@ -87,15 +87,14 @@ def free_run(found: AutoFit, record: Signals) -> np.ndarray:
 
 def run(benchmark: Benchmark) -> AutoFit:
     """Identify on the training part, then print the row of every test record, and the model."""
-    start = time.process_time()
-    found = auto_fit(benchmark.train, "y", ["u"])
-    seconds = time.process_time() - start
+    with timed() as took:
+        found = auto_fit(benchmark.train, "y", ["u"])
     for name, record in benchmark.tests.items():
         error = (record["y"] - free_run(found, record))[WARM_UP:]
         rmse = float(np.sqrt(np.mean(error**2))) / benchmark.per_unit
         print(
             f"{benchmark.name + ', ' + name:<36}{rmse:>8.3f} {benchmark.unit:<4}{benchmark.published[name]:<36}"
-            f"{len(found.model.terms):>6}{found.chosen.order:>7}{found.chosen.degree:>8}{seconds:>9.0f} s"
+            f"{len(found.model.terms):>6}{found.chosen.order:>7}{found.chosen.degree:>8}{took.cpu:>9.0f} s"
         )
     return found
 

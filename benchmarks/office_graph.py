@@ -12,14 +12,13 @@ plain numpy, in the same process.
 from __future__ import annotations
 
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.arguments import parser_of
-from benchmarks.measures import fastest, half_interval
+from benchmarks.measures import fastest, half_interval, timed
 from benchmarks.places import arena_named
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
@@ -105,9 +104,8 @@ def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> GraphScore:
         sensor=SENSOR, stamps=stamps, ranges=ranges + SENSOR.sigma * rng.normal(size=ranges.shape),
         pose_stamps=stamps, poses=poses,
     )  # fmt: skip
-    clock = time.process_time()
-    graph = build([run])
-    fit = time.process_time() - clock
+    with timed() as took:
+        graph = build([run])
     check = somewhere(arena, N_FRESH_POSES, np.random.default_rng([seed, 52]))
     truth = cast(arena, check, SENSOR).ranges
     said = graph.predict(check)
@@ -122,7 +120,7 @@ def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> GraphScore:
         answered=float(answered.mean()),
         wrong_of_answered=float((off[answered] > 0.05).mean()),
         median=float(np.median(off)),
-        fit=fit,
+        fit=took.cpu,
         size=size_of(graph),
         speed=fast,
         ratio=fast / plain,

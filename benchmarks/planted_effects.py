@@ -23,7 +23,6 @@ evidence and the median of the estimated size; and the names given on untouched 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -32,6 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arguments import existing, parser_of
+from benchmarks.measures import timed
 from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, Plant
 from benchmarks.planted_site import (
     SCANS_IN_GRAPH,
@@ -126,9 +126,9 @@ def diagnose_window(
         if plant is not None and planted is run:
             print(f"  {plant.label}: this window has no place for it")
             continue
-        start = time.process_time()
-        finding = diagnose(planted, window.arena, robot, baseline=reference, plan_next=False)
-        results.seconds.append(time.process_time() - start)
+        with timed() as took:
+            finding = diagnose(planted, window.arena, robot, baseline=reference, plan_next=False)
+        results.seconds.append(took.cpu)
         if plant is None:
             results.untouched.append((window.name, finding))
             label = "untouched"

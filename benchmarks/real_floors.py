@@ -15,7 +15,6 @@ from __future__ import annotations
 import csv
 import gzip
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ import numpy as np
 
 from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.coverage_planners import warm_up
-from benchmarks.measures import processor_time
+from benchmarks.measures import timed
 from benchmarks.places import vehicle, write_map
 from planners import plan
 from planners.arena import Arena
@@ -92,16 +91,13 @@ def rasterised(arena: Arena) -> Arena:
 
 def planned(arena: Arena, start: np.ndarray, drive: str) -> dict[str, Any]:
     """Plan one floor, and return what the table needs of it."""
-    before, began = processor_time(), time.perf_counter()
-    report = plan(arena, vehicle(drive), start=start).report
+    with timed() as took:
+        report = plan(arena, vehicle(drive), start=start).report
     keys = (
         "reachable_cells", "coverage", "ratio", "limit_violations", "min_clearance_m", "share_of_bare_footprint", "joins",
         "lower_bound_s", "drive_time_s", "unreached",
     )  # fmt: skip
-    return {key: report[key] for key in keys} | {
-        "wall_s": time.perf_counter() - began,
-        "cpu_s": processor_time() - before,
-    }  # fmt: skip
+    return {key: report[key] for key in keys} | {"wall_s": took.wall, "cpu_s": took.cpu}
 
 
 def line(row: dict[str, Any]) -> str:

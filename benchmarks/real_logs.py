@@ -10,13 +10,13 @@ from what the split leaves of all the logs given, five stretches in fifty of eac
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import timed
 from logs import Run, pair, read
 from planners.types import Floats
 from sensorgraph.building.build import build
@@ -102,11 +102,10 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
     heads = "".join(f"{name:>12}" for name in LOG_COLUMNS)
     print(f"{'log':<34}{heads}{'answered':>10}{'of it <.1m':>12}{'CPU s':>8}")
     for log in logs:
-        start = time.process_time()
-        graph = build([log.run], model="cells", split=split)
-        took = time.process_time() - start
+        with timed() as took:
+            graph = build([log.run], model="cells", split=split)
         result = evaluate(graph, log.run, split=split, cap=10.0)
-        print(line(log.name, result, took))
+        print(line(log.name, result, took.cpu))
         print(calibration(result))
         if others:
             beta = learned_from([other for other in logs if other is not log])

@@ -11,13 +11,13 @@ Nothing here is shared with the calibration.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import timed
 from benchmarks.places import arena_named
 from logs.run import RangeSensor
 from planners.arena import Arena
@@ -100,14 +100,13 @@ def trial(which: str, case: str) -> dict[str, Floats]:
     poses = poses + rng.normal(0, 1, poses.shape) * [xy, xy, yaw]
     stated = replace(laser.sensor(), mount=STATED)
     scans = TrainingScans(sensor=stated, poses=poses, ranges=ranges, run=np.zeros(N_SCANS, dtype=np.intp))
-    start = time.process_time()
-    model = Faces.fit(scans)
-    seconds = time.process_time() - start
+    with timed() as took:
+        model = Faces.fit(scans)
     truth = laser.readings(arena, fresh)
     noise = rng.normal(0, LASER_SIGMA, truth.shape)
     seen = model.predict(fresh, np.arange(len(BEARINGS)), "mode")
     best_map = cast(arena, fresh, laser.sensor()).ranges
-    print(f"office {which}: {seconds:.1f} s; " + "; ".join(f"{a}: {b}" for a, b in model.summary().items()))
+    print(f"office {which}: {took.cpu:.1f} s; " + "; ".join(f"{a}: {b}" for a, b in model.summary().items()))
     return {
         "faces": score(seen.mode, truth, noise),
         f"faces, answered ({100 * seen.answered.mean():.1f} %)": score(
