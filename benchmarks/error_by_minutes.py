@@ -7,7 +7,7 @@
 An arena is a shipped one, the seed of a random office of `benchmarks/offices.py`, or a file with the place where the robot
 starts. With `--keep FILE` each result is kept there and not driven again, and means over all places that it holds for this
 `--thin`, each the mean of its seeds, are printed and drawn with their 95 % intervals (`--keep FILE --table`: that alone;
-`benchmarks/error_by_minutes.jsonl` holds the results of the page).
+`docs/pages/benchmarks/error_by_minutes.jsonl` holds the results of the page).
 
 Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
 its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
