@@ -17,7 +17,7 @@ import numpy as np
 import benchmarks.fuzz.structure
 from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.fuzz.structure import drives
-from benchmarks.fuzz.structure.cases import case_of_job, draft_of, jobs_of
+from benchmarks.fuzz.structure.cases import case, draft_of, jobs_of
 from benchmarks.fuzz.structure.judge import Outcome
 from benchmarks.fuzz.structure.kinds import KINDS
 from benchmarks.fuzz.structure.writers import write
@@ -92,7 +92,7 @@ def main() -> int:
     results = [before[job] for job in jobs if job in before]
     jobs = [job for job in jobs if job not in before]
     began = time.monotonic()
-    work = partial(case_of_job, seed=given.seed, cache=given.cache)
+    work = partial(case, seed=given.seed, cache=given.cache)
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         for one in pool.map(work, jobs) if given.processes > 1 else map(work, jobs):
             results.append(one)

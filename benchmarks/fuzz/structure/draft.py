@@ -104,6 +104,11 @@ class Draft:
         return [item for item in self.items if item.scan >= 0]
 
     @property
+    def readings(self) -> list[dict[str, Any]]:
+        """The contents of these messages."""
+        return [item.content for item in self.scans]
+
+    @property
     def sources(self) -> list[tuple[str, str]]:
         """Each topic with a type of its messages."""
         return list(dict.fromkeys([(item.topic, item.kind) for item in self.items] + self.empty))
@@ -129,6 +134,18 @@ class Draft:
         """Add a message with a transform at a time [s]."""
         self.add(Item("/tf", "TFMessage", t, logged(t, self.rng), "", {"transforms": [edge]}))
 
+    def add_odometry(self, topic: str, t: float, pose: Floats, *, child: str) -> None:
+        """Add odometry at a time [s] whose twist is never filled in."""
+        content = {"pose": vec7(*pose), "twist": np.zeros(6), "child": child}
+        self.add(Item(topic, "Odometry", t, logged(t, self.rng), "odom", content))
+
+    def state(self, poses: Floats) -> None:
+        """Let the odometry and its transform state other poses (n, 3)."""
+        for item, pose in zip(self.on("/odom"), poses, strict=True):
+            item.content = item.content | {"pose": vec7(*pose)}
+        for item, pose in zip(self.on("/tf"), poses, strict=True):
+            item.content = {"transforms": [("odom", "base_link", vec7(*pose))]}
+
     def rename(self, old: str, new: str) -> None:
         """Rename a topic."""
         for item in self.on(old):
@@ -145,10 +162,16 @@ class Draft:
                     (change(a), change(b), value) for a, b, value in item.content["transforms"]
                 ]
 
-    def edges(self, change: Callable[[str, str, Floats], Iterable[tuple[str, str, Floats]]]) -> None:
-        """Replace each transform by others."""
+    def edges(
+        self, change: Callable[[str, str, Floats], Iterable[tuple[str, str, Floats]]], *, child: str = ""
+    ) -> None:
+        """Replace each transform by others, or each of one child."""
         for item in self.of("TFMessage"):
-            item.content["transforms"] = [new for edge in item.content["transforms"] for new in change(*edge)]
+            item.content["transforms"] = [
+                new
+                for edge in item.content["transforms"]
+                for new in (change(*edge) if child in ("", edge[1]) else [edge])
+            ]
         self.keep(lambda item: item.kind != "TFMessage" or bool(item.content["transforms"]))
 
     def add(self, *items: Item) -> None:
@@ -212,7 +235,7 @@ def ray_times(draft: Draft, k: int, directions: Floats) -> Floats:
     return np.asarray(draft.true_times[k] + (PERIOD * after / 360.0 if laser.sweep else 0.0 * after))
 
 
-def laser_scan(draft: Draft, k: int, *, topic: str = "/scan", frame: str = "laser") -> Item:
+def laser_scan(draft: Draft, k: int) -> Item:
     """Return scan k as an honest driver describes it: bearings in the laser frame, in the order of the rays."""
     laser, rng = draft.laser, draft.rng
     sign = -1 if laser.sweep < 0 else 1
@@ -226,7 +249,25 @@ def laser_scan(draft: Draft, k: int, *, topic: str = "/scan", frame: str = "lase
         "time_increment": per_ray, "scan_time": PERIOD * laser.every, "range_min": 0.05, "range_max": laser.range_max,
         "ranges": measured(draft.drive, laser, k, rng), "intensities": np.zeros(0),
     }  # fmt: skip
-    return Item(topic, "LaserScan", at, logged(at + per_ray * laser.n, rng), frame, content, scan=k)
+    return Item("/scan", "LaserScan", at, logged(at + per_ray * laser.n, rng), "laser", content, scan=k)
+
+
+def flip(reading: dict[str, Any]) -> None:
+    """Let the driver send the array of a scan the other way."""
+    reading |= {name: reading[name][::-1].copy() for name in ("ranges", "intensities")}
+
+
+def reverse(reading: dict[str, Any]) -> None:
+    """Let the driver send the array of a scan the other way, with bearings that fit."""
+    flip(reading)
+    low, high, step = (reading[name] for name in ("angle_max", "angle_min", "angle_increment"))
+    reading |= {"angle_min": low, "angle_max": high, "angle_increment": -step}
+
+
+def reverse_times(item: Item) -> None:
+    """Let the driver state times of the rays that fit a reversed array."""
+    item.stamp += item.content["time_increment"] * (len(item.content["ranges"]) - 1)
+    item.content["time_increment"] *= -1
 
 
 def mount_of(laser: Laser) -> Floats:
@@ -265,8 +306,9 @@ def add_reference(draft: Draft, topic: str = "/pose", kind: str = "PoseStamped",
         draft.add(Item(topic, kind, t, logged(t, draft.rng), "map", content))
 
 
-def rear_scans(draft: Draft, *, topic: str, frame: str, n: int = 180, every: int = 2) -> None:
-    """Add the scans of a second laser that looks backwards."""
+def rear_scans(draft: Draft, topic: str, frame: str = "rear_laser", *, every: int = 2) -> None:
+    """Add the scans of a second laser of 180 rays that looks backwards."""
+    n = 180
     for k in range(0, draft.drive.n_turns, every):
         at = PAUSE + PERIOD * k
         z = draft.drive.rear_flashes[k][(90 + np.arange(n)) % N_TURN]

@@ -26,9 +26,7 @@ def varying_rays(start: Start, draft: Draft) -> None:
             c["ranges"] = np.interp(nearest, old, np.where(np.isfinite(c["ranges"]), c["ranges"], 50.0))
             c["angle_increment"] = (c["angle_max"] - c["angle_min"]) / (n - 1)
             c["time_increment"] *= (len(old) - 1) / (n - 1)
-        c["intensities"] = (
-            np.zeros(0) if not len(c["intensities"]) else item.scan + np.linspace(0.25, 0.75, n)
-        )
+        c["intensities"] = item.scan + np.linspace(0.25, 0.75, n) if len(c["intensities"]) else np.zeros(0)
 
 
 def few_scans(start: Start, draft: Draft) -> None:
@@ -172,12 +170,9 @@ def dense_odometry(start: Start, draft: Draft) -> None:
     """Two hundred messages of odometry a second."""
     times = np.arange(0.0, draft.drive.odom_times[-1], 0.005)
     poses = np.stack([np.interp(times, draft.drive.odom_times, c) for c in draft.drive.odometry.T], axis=1)
-    from benchmarks.fuzz.structure.draft import Item, logged, vec7
-
     draft.drop("/odom", "/tf")
     for t, pose in zip(times, poses, strict=True):
-        content = {"pose": vec7(*pose), "twist": np.zeros(6), "child": "base_link"}
-        draft.add(Item("/odom", "Odometry", t, logged(t, draft.rng), "odom", content))
+        draft.add_odometry("/odom", t, pose, child="base_link")
 
 
 COUNTS = named(

@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.fuzz.structure.draft import Draft, Floats, Item, compose, inverse, logged, mount_of, vec7
+from benchmarks.fuzz.structure.draft import (
+    Draft,
+    Floats,
+    Item,
+    compose,
+    flip,
+    inverse,
+    logged,
+    mount_of,
+    vec7,
+)
 from benchmarks.fuzz.structure.start import LASERS, Start, named, of
 
 
@@ -74,19 +84,13 @@ def frame_is_base(start: Start, draft: Draft) -> None:
 
 
 def inverted_mount(start: Start, draft: Draft) -> None:
-
-    def invert(a: str, b: str, value: Floats) -> list[tuple[str, str, Floats]]:
-        return [(b, a, vec7(*inverse(_planar(value)), z=-value[2]))] if b == "laser" else [(a, b, value)]
-
-    draft.edges(invert)
+    draft.edges(lambda a, b, v: [(b, a, vec7(*inverse(_planar(v)), z=-v[2]))], child="laser")
 
 
 @of(reference=0.0)
 def inverted_odometry(start: Start, draft: Draft) -> None:
     """The tree hangs from base_link: base_link -> odom."""
-    draft.edges(
-        lambda a, b, value: [(b, a, vec7(*inverse(_planar(value))))] if a == "odom" else [(a, b, value)]
-    )
+    draft.edges(lambda a, b, value: [(b, a, vec7(*inverse(_planar(value))))], child="base_link")
     if start.chance():
         draft.drop("/odom")
 
@@ -102,7 +106,7 @@ def map_below_odom(start: Start, draft: Draft) -> None:
 def footprint_root(start: Start, draft: Draft) -> None:
     height = start.pick((0.0, 0.1, 0.33))
     draft.frames(lambda name: "base_footprint" if name == "base_link" else name)
-    draft.edges(lambda a, b, value: [("base_link", b, value)] if b == "laser" else [(a, b, value)])
+    draft.edges(lambda a, b, value: [("base_link", b, value)], child="laser")
     draft.add_static(("base_footprint", "base_link", vec7(0.0, 0.0, 0.0, z=height)))
 
 
@@ -114,7 +118,7 @@ def long_chain(start: Start, draft: Draft) -> None:
         ("torso", "arm", vec7(0.0, 0.0, 0.0, z=-0.2)),
         ("arm", "laser", vec7(*compose(inverse(turn), mount))),
     ]
-    draft.edges(lambda a, b, value: chain if b == "laser" else [(a, b, value)])
+    draft.edges(lambda a, b, value: chain, child="laser")
     if start.chance():  # each transform in a message, some of them in /tf
         parts = [replace(item, content={"transforms": [edge]}, topic=start.pick(("/tf", "/tf_static")))
                  for item in draft.on("/tf_static") for edge in item.content["transforms"]]  # fmt: skip
@@ -154,16 +158,14 @@ def upside_down(start: Start) -> Draft:
     sweep, first = -laser.sweep, -laser.first
     draft = start.draft(replace(laser, sweep=sweep or -1, first=first)) if spins else start.draft(laser)
     yaw = start.pick((0.0, np.pi)) if laser.n * laser.stride == 360 and spins else 0.0
-    for item in draft.scans:
-        content = item.content
+    for content in draft.readings:
         if not spins:
-            content["ranges"] = content["ranges"][::-1].copy()
-            content["intensities"] = content["intensities"][::-1].copy()
+            flip(content)
         low = np.radians(laser.first) + yaw
         content |= {"angle_min": low, "angle_increment": np.radians(laser.stride)}
         content["angle_max"] = low + content["angle_increment"] * (laser.n - 1)
     mount = vec7(*mount_of(draft.laser)[:2], yaw, z=0.25, roll=np.pi)
-    draft.edges(lambda a, b, value: [(a, b, mount)] if b == "laser" else [(a, b, value)])
+    draft.edges(lambda a, b, value: [(a, b, mount)], child="laser")
     return draft
 
 
@@ -178,15 +180,11 @@ def any_yaw(start: Start) -> Draft:
 def tilted_little(start: Start, draft: Draft) -> None:
     roll, pitch = np.radians(start.rng.uniform(-3.0, 3.0, 2))
     mount = vec7(*mount_of(draft.laser), z=0.25, roll=roll, pitch=pitch)
-    draft.edges(lambda a, b, value: [(a, b, mount)] if b == "laser" else [(a, b, value)])
+    draft.edges(lambda a, b, value: [(a, b, mount)], child="laser")
 
 
 def high_mount(start: Start, draft: Draft) -> None:
-    draft.edges(
-        lambda a, b, value: (
-            [(a, b, value + np.r_[0, 0, 1.5, 0, 0, 0, 0])] if b == "laser" else [(a, b, value)]
-        )
-    )
+    draft.edges(lambda a, b, value: [(a, b, value + np.r_[0, 0, 1.5, 0, 0, 0, 0])], child="laser")
 
 
 @of(reference=0.0)
@@ -216,18 +214,12 @@ def frame_changes(start: Start, draft: Draft) -> None:
     """A driver is started again with another frame name, which is in the tree too."""
     for item in draft.on("/scan"):
         item.frame = "laser" if item.stamp < 12.0 else "laser_frame"
-    draft.edges(
-        lambda a, b, value: [(a, b, value), (a, "laser_frame", value)] if b == "laser" else [(a, b, value)]
-    )
+    draft.edges(lambda a, b, value: [(a, b, value), (a, "laser_frame", value)], child="laser")
 
 
 def rounded_quaternion(start: Start, draft: Draft) -> None:
     sign = start.pick((1.0, -1.0))
-
-    def rough(a: str, b: str, value: Floats) -> list[tuple[str, str, Floats]]:
-        return [(a, b, np.r_[value[:3], sign * np.round(value[3:], 4) * 1.003])]
-
-    draft.edges(rough)
+    draft.edges(lambda a, b, value: [(a, b, np.r_[value[:3], sign * np.round(value[3:], 4) * 1.003])])
 
 
 def late_transforms(start: Start, draft: Draft) -> None:

@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.fuzz.structure.draft import MOUNT, Draft, Floats, compose, inverse, start_of, vec7
+from benchmarks.fuzz.structure.draft import (
+    MOUNT,
+    Draft,
+    Floats,
+    compose,
+    inverse,
+    reverse,
+    reverse_times,
+    start_of,
+    vec7,
+)
 from benchmarks.fuzz.structure.drives import PERIOD
 from benchmarks.fuzz.structure.start import LASERS, Start, named, of
 
@@ -14,17 +24,9 @@ LATER = 0.007
 """[s] by which the messages of a second publisher are later."""
 
 
-def _state(draft: Draft, poses: Floats) -> None:
-    """Let the odometry and its transform state other poses."""
-    for item, pose in zip(draft.on("/odom"), poses, strict=True):
-        item.content = item.content | {"pose": vec7(*pose)}
-    for item, pose in zip(draft.on("/tf"), poses, strict=True):
-        item.content = {"transforms": [("odom", "base_link", vec7(*pose))]}
-
-
-def _also(draft: Draft, topic: str, poses: Floats, later: float = LATER, every: int = 2) -> None:
-    """Publish further poses on a topic."""
-    for item, pose in list(zip(draft.on(topic), poses, strict=True))[::every]:
+def _also(draft: Draft, topic: str, poses: Floats, later: float = LATER) -> None:
+    """Publish every second one of further poses on a topic."""
+    for item, pose in list(zip(draft.on(topic), poses, strict=True))[::2]:
         if topic == "/odom":
             content = item.content | {"pose": vec7(*pose)}
         else:
@@ -79,7 +81,7 @@ def odometry_starts_again(start: Start, draft: Draft) -> None:
     """The driver of the wheels is started again: from 0, in a frame of another name or the same."""
     odometry, late = draft.drive.odometry.copy(), draft.drive.odom_times > float(start.rng.uniform(6, 14))
     odometry[late] = compose(inverse(odometry[late][0]), odometry[late])
-    _state(draft, odometry)
+    draft.state(odometry)
     name = start.pick(("odom", "odom_1"))
     for item, transform, is_late in zip(draft.on("/odom"), draft.on("/tf"), late, strict=True):
         item.frame = name if is_late else item.frame
@@ -111,11 +113,8 @@ def order_changes(start: Start) -> Draft:
     at = float(start.rng.uniform(6, 14))
     for item in draft.scans:
         if item.stamp > at:
-            c = item.content
-            c |= {"ranges": c["ranges"][::-1].copy(), "intensities": c["intensities"][::-1].copy()}
-            c |= {"angle_min": c["angle_max"], "angle_max": c["angle_min"]}
-            item.stamp += c["time_increment"] * (len(c["ranges"]) - 1)
-            c |= {name: -c[name] for name in ("angle_increment", "time_increment")}
+            reverse(item.content)
+            reverse_times(item)
     return draft
 
 
@@ -124,7 +123,6 @@ def sent_again(start: Start, draft: Draft) -> None:
     """A relay sends the latest scan twice as often as the laser measures, with new stamps."""
     for item in draft.scans:
         item.content["intensities"] = np.zeros(0)
-    for item in draft.scans:
         k, at = 1000 + item.scan, item.stamp + PERIOD / 2
         draft.true_times[k] = at
         draft.add(replace(item, stamp=at, log=item.log + PERIOD / 2, arrival=item.log + PERIOD / 2, scan=k))
@@ -162,7 +160,7 @@ def sectors(start: Start) -> Draft:
 def mirrored_positions(start: Start, draft: Draft) -> None:
     """The y of the odometry is to the right, or x and y are exchanged; its heading is right."""
     odometry = draft.drive.odometry
-    _state(draft, odometry * [1, -1, 1] if start.chance() else odometry[:, [1, 0, 2]])
+    draft.state(odometry * [1, -1, 1] if start.chance() else odometry[:, [1, 0, 2]])
     draft.said = "positions are mirrored"
 
 
@@ -190,7 +188,7 @@ def twist_in_degrees(start: Start, draft: Draft) -> None:
 @of(reference=0.0)
 def compass_heading(start: Start, draft: Draft) -> None:
     """The heading is that of a compass, and the positions begin where the robot is switched on."""
-    _state(draft, draft.drive.odometry + [0.0, 0.0, start.pick((0.3, 0.8, np.pi / 2, -2.2))])
+    draft.state(draft.drive.odometry + [0.0, 0.0, start.pick((0.3, 0.8, np.pi / 2, -2.2))])
     draft.said = "differs from its heading"
 
 
@@ -209,7 +207,7 @@ def sideways(start: Start) -> Draft:
     looks = np.column_stack(
         [0 * drive.odom_times, 0 * drive.odom_times, np.radians(turned(drive.odom_times))]
     )
-    _state(draft, compose(drive.odometry, place) + looks)
+    draft.state(compose(drive.odometry, place) + looks)
     for item in draft.on("/odom"):
         item.content["twist"] = np.zeros(6)
     draft.drop("/tf_static")

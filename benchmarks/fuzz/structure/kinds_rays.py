@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.fuzz.structure.draft import Draft, Item, Laser, start_of
+from benchmarks.fuzz.structure.draft import Draft, Laser, flip, reverse, reverse_times, start_of
 from benchmarks.fuzz.structure.drives import PERIOD
 from benchmarks.fuzz.structure.start import LASERS, Start, named, of
 
@@ -20,13 +20,6 @@ def _clockwise(laser: Laser) -> Laser:
     return replace(laser, sweep=-1, first=laser.first + laser.stride * (laser.n - 1))
 
 
-def _reverse(item: Item) -> None:
-    """Let the driver send the array the other way, with bearings that fit."""
-    c = item.content
-    c |= {"ranges": c["ranges"][::-1].copy(), "intensities": c["intensities"][::-1].copy()}
-    c |= {"angle_min": c["angle_max"], "angle_max": c["angle_min"], "angle_increment": -c["angle_increment"]}
-
-
 def clockwise(start: Start) -> Draft:
     """It spins clockwise, and says so: the increment of the bearings is negative."""
     return start.draft(_clockwise(start.pick(SPINNING)))
@@ -35,8 +28,8 @@ def clockwise(start: Start) -> Draft:
 def reversed_array(start: Start) -> Draft:
     """It spins clockwise; the driver reverses the array and keeps the time increment."""
     draft = start.draft(_clockwise(start.pick(SPINNING)))
-    for item in draft.scans:
-        _reverse(item)
+    for reading in draft.readings:
+        reverse(reading)
     return draft
 
 
@@ -44,10 +37,8 @@ def reversed_increment(start: Start) -> Draft:
     """It spins clockwise; the driver reverses the array and negates the time increment."""
     draft = start.draft(_clockwise(start.pick(SPINNING)))
     for item in draft.scans:
-        _reverse(item)
-        c = item.content
-        item.stamp += c["time_increment"] * (len(c["ranges"]) - 1)
-        c["time_increment"] *= -1
+        reverse(item.content)
+        reverse_times(item)
     return draft
 
 
@@ -56,40 +47,39 @@ def silent(start: Start) -> Draft:
     laser = start.pick(SPINNING)
     ahead = start.chance()
     draft = start.draft(laser if ahead else _clockwise(laser))
-    for item in draft.scans:
+    for reading in draft.readings:
         if not ahead:
-            _reverse(item)
-        item.content["time_increment"] = 0.0
-        item.content["scan_time"] = start.pick((0.0, PERIOD))
+            reverse(reading)
+        reading |= {"time_increment": 0.0, "scan_time": start.pick((0.0, PERIOD))}
     return draft
+
+
+def _scale_times(draft: Draft, factor: float) -> None:
+    for reading in draft.readings:
+        reading["time_increment"] *= factor
 
 
 @of(spins=True)
 def wrong_sign(start: Start, draft: Draft) -> None:
     """It spins counter-clockwise; the driver states a negative time increment."""
-    for item in draft.scans:
-        item.content["time_increment"] *= -1
+    _scale_times(draft, -1)
 
 
 @of(spins=False)
 def invented_increment(start: Start, draft: Draft) -> None:
     """All rays are measured at once; the driver states a sweep."""
-    for item in draft.scans:
-        item.content["time_increment"] = PERIOD / len(item.content["ranges"])
+    for reading in draft.readings:
+        reading["time_increment"] = PERIOD / len(reading["ranges"])
 
 
 @of(spins=True)
 def too_long(start: Start, draft: Draft) -> None:
-    factor = start.pick((1.5, 2.0, 10.0, 100.0, 360.0, 1e4))
-    for item in draft.scans:
-        item.content["time_increment"] *= factor
+    _scale_times(draft, start.pick((1.5, 2.0, 10.0, 100.0, 360.0, 1e4)))
 
 
 @of(spins=True)
 def too_short(start: Start, draft: Draft) -> None:
-    factor = start.pick((0.5, 0.1, 1e-3))
-    for item in draft.scans:
-        item.content["time_increment"] *= factor
+    _scale_times(draft, start.pick((0.5, 0.1, 1e-3)))
 
 
 @of(spins=True)
@@ -108,7 +98,7 @@ def zero_to_turn(start: Start) -> Draft:
     laser = replace(start.pick(TURN), first=0)
     draft = start.draft(laser)
     if start.chance():
-        _repeat_end(draft)
+        _go_on(draft, 1)
     return draft
 
 
@@ -117,32 +107,26 @@ def any_start(start: Start) -> Draft:
     return start.draft(replace(start.pick(TURN), first=int(start.rng.integers(-180, 180))))
 
 
-def _repeat_end(draft: Draft) -> None:
-    """Repeat the first ray at the end: from -pi to pi inclusive."""
-    for item in draft.scans:
-        c = item.content
-        c["ranges"] = np.append(c["ranges"], c["ranges"][0])
-        c["angle_max"] = c["angle_min"] + c["angle_increment"] * (len(c["ranges"]) - 1)
-        if len(c["intensities"]):
-            c["intensities"] = np.append(c["intensities"], c["intensities"][0])
+def _go_on(draft: Draft, n: int) -> None:
+    """Let each scan go on with its first n rays."""
+    for reading in draft.readings:
+        for name in ("ranges", "intensities"):
+            reading[name] = np.append(reading[name], reading[name][:n])
+        last = len(reading["ranges"]) - 1
+        reading["angle_max"] = reading["angle_min"] + reading["angle_increment"] * last
 
 
 def repeated_end(start: Start) -> Draft:
+    """The first ray is repeated at the end: from -pi to pi inclusive."""
     draft = start.draft(start.pick(TURN))
-    _repeat_end(draft)
+    _go_on(draft, 1)
     return draft
 
 
 def overlapping(start: Start) -> Draft:
     """A scan is a little more than one turn."""
     draft = start.draft(start.pick(TURN))
-    more = start.pick((3, 20))
-    for item in draft.scans:
-        c = item.content
-        c["ranges"] = np.append(c["ranges"], c["ranges"][:more])
-        c["angle_max"] = c["angle_min"] + c["angle_increment"] * (len(c["ranges"]) - 1)
-        if len(c["intensities"]):
-            c["intensities"] = np.append(c["intensities"], c["intensities"][:more])
+    _go_on(draft, start.pick((3, 20)))
     return draft
 
 
@@ -174,8 +158,7 @@ def turning_start(start: Start) -> Draft:
 def uneven_ends(start: Start, draft: Draft) -> None:
     """The last bearing disagrees with the first, the step and the number of rays."""
     form = start.pick(("one_more", "degrees_rounded", "no_step", "no_end"))
-    for item in draft.scans:
-        c = item.content
+    for c in draft.readings:
         step = c["angle_increment"]
         if form == "one_more":
             c["angle_max"] += step
@@ -191,9 +174,8 @@ def uneven_ends(start: Start, draft: Draft) -> None:
 @of(reference=0.0)
 def mirrored(start: Start, draft: Draft) -> None:
     """A driver that reverses the array and keeps the bearings: the room is seen in a mirror."""
-    for item in draft.scans:
-        c = item.content
-        c |= {"ranges": c["ranges"][::-1].copy(), "intensities": c["intensities"][::-1].copy()}
+    for reading in draft.readings:
+        flip(reading)
     draft.usable = False
     draft.said = "mirror|turn"
 

@@ -58,25 +58,25 @@ def namespace(start: Start, draft: Draft) -> None:
 
 
 def two_lasers(start: Start, draft: Draft) -> None:
-    rear_scans(draft, topic=start.pick(("/scan_rear", "/rear/scan", "/scan2")), frame="rear_laser")
+    rear_scans(draft, start.pick(("/scan_rear", "/rear/scan", "/scan2")))
     draft.said = "range sensors that were not used|rear|scan2"
 
 
 def two_lasers_choice(start: Start, draft: Draft) -> None:
     draft.rename("/scan", "/front/scan")
-    rear_scans(draft, topic="/rear/scan", frame="rear_laser")
+    rear_scans(draft, "/rear/scan")
     draft.usable = start.chance()
     draft.options = ["--topic", "scan=/front/scan"] if draft.usable else []
 
 
 def two_lasers_as_one(start: Start, draft: Draft) -> None:
     draft.rename("/scan", "/front/scan")
-    rear_scans(draft, topic="/rear/scan", frame="rear_laser", every=1)
+    rear_scans(draft, "/rear/scan", every=1)
     draft.options = ["--topic", "scan=/front/scan,/rear/scan"]
 
 
 def two_lasers_one_topic(start: Start, draft: Draft) -> None:
-    rear_scans(draft, topic="/scan", frame="rear_laser", every=start.pick((1, 2)))
+    rear_scans(draft, "/scan", every=start.pick((1, 2)))
     draft.said = "rear_laser"
 
 
@@ -84,8 +84,8 @@ def two_robots(start: Start, draft: Draft) -> None:
     for item in draft.items:
         item.topic = "/robot1" + item.topic if not item.topic.startswith("/tf") else item.topic
     draft.frames(lambda name: f"robot1/{name}" if name not in ("", "map") else name)
-    rear_scans(draft, topic="/robot2/scan", frame="robot2/laser")
-    draft.edges(lambda a, b, value: [("robot2/base_link" if b == "robot2/laser" else a, b, value)])
+    rear_scans(draft, "/robot2/scan", "robot2/laser")
+    draft.edges(lambda a, b, value: [("robot2/base_link", b, value)], child="robot2/laser")
     for t, pose in zip(draft.drive.odom_times, draft.drive.odometry * [1.0, -1.0, -1.0], strict=True):
         edges = {"transforms": [("robot2/odom", "robot2/base_link", vec7(*pose))]}
         content = {"pose": vec7(*pose), "twist": np.zeros(6), "child": "robot2/base_link"}
@@ -113,18 +113,18 @@ def goals(start: Start, draft: Draft) -> None:
             draft.add(Item(topic, kind, t, logged(t, draft.rng), "map", content))
 
 
-def _another_odometry(draft: Draft, topic: str, noise: float) -> None:
+def _another_odometry(draft: Draft, topic: str) -> None:
     for item in draft.on("/odom")[::2]:
-        pose = item.content["pose"] + np.r_[draft.rng.normal(size=2) * noise, np.zeros(5)]
+        pose = item.content["pose"] + np.r_[draft.rng.normal(size=2) * 1e-3, np.zeros(5)]
         draft.add(replace(item, topic=topic, content=item.content | {"pose": pose}, log=item.log + 1e-4))
 
 
 def two_odometries(start: Start, draft: Draft) -> None:
-    _another_odometry(draft, start.pick(("/odometry/filtered", "/ekf/odom", "/rf2o_laser_odometry")), 1e-3)
+    _another_odometry(draft, start.pick(("/odometry/filtered", "/ekf/odom", "/rf2o_laser_odometry")))
 
 
 def two_odometries_choice(start: Start, draft: Draft) -> None:
-    _another_odometry(draft, "/odometry/filtered", 1e-3)
+    _another_odometry(draft, "/odometry/filtered")
     draft.rename("/odom", "/odometry/wheels")
     if start.chance():
         draft.options = ["--topic", "odom=/odometry/wheels"]
@@ -136,8 +136,7 @@ def two_odometries_choice(start: Start, draft: Draft) -> None:
 def true_odometry(start: Start, draft: Draft) -> None:
     """Stage publishes the true pose as Odometry."""
     for t in np.arange(0.0, draft.drive.times[-1], 0.1):
-        content = {"pose": vec7(*draft.drive.pose_at(t)), "twist": np.zeros(6), "child": ""}
-        draft.add(Item("/base_pose_ground_truth", "Odometry", t, logged(t, draft.rng), "odom", content))
+        draft.add_odometry("/base_pose_ground_truth", t, draft.drive.pose_at(t), child="")
 
 
 @of(reference=0.0)

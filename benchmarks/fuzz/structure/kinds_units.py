@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.fuzz.structure.draft import EPOCH, Draft, vec7
+from benchmarks.fuzz.structure.draft import EPOCH, Draft
 from benchmarks.fuzz.structure.start import Start, named, of
 
 LENGTHS = {"mm": 1000.0, "cm": 100.0}
@@ -13,9 +13,9 @@ TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 
 def ranges_unit(start: Start, draft: Draft) -> None:
     factor = start.pick(list(LENGTHS.values()))
-    for item in draft.scans:
+    for reading in draft.readings:
         for name in ("ranges", "range_min", "range_max"):
-            item.content[name] = item.content[name] * factor
+            reading[name] = reading[name] * factor
     draft.said = "millimet|centimet"
     draft.usable = False
 
@@ -27,7 +27,7 @@ def odometry_unit(start: Start, draft: Draft) -> None:
         if item.kind == "Odometry":
             item.content["pose"] = item.content["pose"] * np.r_[[factor] * 3, np.ones(4)]
             item.content["twist"] = item.content["twist"] * np.r_[[factor] * 3, np.ones(3)]
-    draft.edges(lambda a, b, v: [(a, b, v * np.r_[[factor] * 3, np.ones(4)])] if a == "odom" else [(a, b, v)])
+    draft.edges(lambda a, b, v: [(a, b, v * np.r_[[factor] * 3, np.ones(4)])], child="base_link")
     draft.said = "odometry|distance"
     draft.expects = set()
 
@@ -50,12 +50,9 @@ def odometry_scale(start: Start, draft: Draft) -> None:
     )
     phi = turn * draft.drive.odometry[:, 2]
     xy = np.cumsum(way * forward[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), axis=0)
-    wrong = [vec7(*pose) for pose in np.column_stack([xy, phi])]
-    for item, pose in zip(draft.on("/odom"), wrong, strict=True):
-        item.content["pose"] = pose
+    draft.state(np.column_stack([xy, phi]))
+    for item in draft.on("/odom"):
         item.content["twist"] = item.content["twist"] * [way, 1, 1, 1, 1, turn]
-    for item, pose in zip(draft.on("/tf"), wrong, strict=True):
-        item.content["transforms"] = [("odom", "base_link", pose)]
 
 
 @of(reference=0.0)
@@ -70,9 +67,9 @@ def odometry_backwards(start: Start, draft: Draft) -> None:
 
 
 def degrees(start: Start, draft: Draft) -> None:
-    for item in draft.scans:
+    for reading in draft.readings:
         for name in ("angle_min", "angle_max", "angle_increment"):
-            item.content[name] = np.degrees(item.content[name])
+            reading[name] = np.degrees(reading[name])
     draft.said = "degrees"
 
 
@@ -80,9 +77,9 @@ def degrees(start: Start, draft: Draft) -> None:
 def increment_unit(start: Start, draft: Draft) -> None:
     factor = start.pick(list(TIMES.values()))
     names = start.pick((("time_increment",), ("scan_time",), ("time_increment", "scan_time")))
-    for item in draft.scans:
+    for reading in draft.readings:
         for name in names:
-            item.content[name] *= factor
+            reading[name] *= factor
     draft.said = "milliseconds|microseconds|nanoseconds|rescaled|was used"
 
 
@@ -98,14 +95,14 @@ def stamp_unit(start: Start, draft: Draft) -> None:
 def limits(start: Start, draft: Draft) -> None:
     usual = ((0.0, 0.0), (0.05, np.inf), (np.nan, np.nan), (0.05, 1e6))
     low, high = start.pick((*usual, (12.0, 0.05), (0.0, 12.0), (-1.0, 12.0), (0.05, 3.0)))
-    for item in draft.scans:
-        item.content |= {"range_min": low, "range_max": high}
+    for reading in draft.readings:
+        reading |= {"range_min": low, "range_max": high}
 
 
 def scan_time(start: Start, draft: Draft) -> None:
     value = start.pick((0.0, np.nan, -0.1, 1e9, 0.025, np.inf))
-    for item in draft.scans:
-        item.content["scan_time"] = value
+    for reading in draft.readings:
+        reading["scan_time"] = value
 
 
 def no_return_code(start: Start) -> Draft:
@@ -114,29 +111,27 @@ def no_return_code(start: Start) -> Draft:
     code = start.pick(
         (0.0, np.nan, np.inf, -1.0, high, high + 1.0, 65.533, 1e30, -np.inf, 0.001, high - 0.001)
     )
-    for item in draft.scans:
-        z = item.content["ranges"]
-        item.content["ranges"] = np.where(np.isfinite(z), z, code)
-    if code in (65.533, high - 0.001):
-        for item in draft.scans:
-            item.content["range_max"] = 65.533 if code > 60 else high
+    for reading in draft.readings:
+        reading["ranges"] = np.where(np.isfinite(reading["ranges"]), reading["ranges"], code)
+        if code in (65.533, high - 0.001):
+            reading["range_max"] = 65.533 if code > 60 else high
     return draft
 
 
 def error_codes(start: Start, draft: Draft) -> None:
     """Hokuyo writes codes of errors as millimetres."""
-    for item in draft.scans:
-        z = item.content["ranges"]
+    for reading in draft.readings:
+        z = reading["ranges"]
         bad = start.rng.random(len(z)) < 0.05
-        item.content["ranges"] = np.where(bad, start.rng.integers(1, 20, len(z)) / 1000, z)
-        item.content["range_min"] = start.pick((0.0, 0.02))
+        reading["ranges"] = np.where(bad, start.rng.integers(1, 20, len(z)) / 1000, z)
+        reading["range_min"] = start.pick((0.0, 0.02))
 
 
 def intensities(start: Start, draft: Draft) -> None:
     form = start.pick(("constant", "nan", "short", "long", "huge"))
-    for item in draft.scans:
-        n = len(item.content["ranges"])
-        item.content["intensities"] = {
+    for reading in draft.readings:
+        n = len(reading["ranges"])
+        reading["intensities"] = {
             "constant": np.full(n, 47.0), "nan": np.full(n, np.nan), "short": np.ones(n - 3), "long": np.ones(2 * n),
             "huge": 1e38 * start.rng.random(n),
         }[form]  # fmt: skip
@@ -144,8 +139,8 @@ def intensities(start: Start, draft: Draft) -> None:
 
 def coarse_ranges(start: Start, draft: Draft) -> None:
     step = start.pick((0.01, 0.05))
-    for item in draft.scans:
-        item.content["ranges"] = np.round(item.content["ranges"] / step) * step
+    for reading in draft.readings:
+        reading["ranges"] = np.round(reading["ranges"] / step) * step
 
 
 UNITS = named(

@@ -9,6 +9,7 @@ import sqlite3
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -235,7 +236,7 @@ CONTAINERS: dict[str, Container] = {
     "folder_wrong_storage": _folder("mcap", stated="sqlite3"),
     "folder_wrong_count": _folder(missing=37),
     "carmen": _packed_text("log.log", bytes),
-    "carmen_gz": _packed_text("log.log.gz", gzip.compress),
+    "carmen_gz": _packed_text("log.log.gz", partial(gzip.compress, mtime=0)),
     "carmen_bz2": _packed_text("log.clf.bz2", bz2.compress),
     "carmen_robotlaser": _packed_text("log.log", bytes, words="ROBOTLASER1"),
     "carmen_host_last": _packed_text("log.log", bytes, trailer="host_last"),
