@@ -11,22 +11,6 @@ from typing import Any
 
 MAX_PLACE_ERROR = 0.3
 """[m] a spot counts as found."""
-SYNONYMS = {
-    "s_rel": "s",
-    "scale": "s",
-    "bias": "b",
-    "yaw": "delta",
-    "radius": "r",
-    "theta_1": "theta1",
-    "theta_2": "theta2",
-    "r_0": "r0",
-    "theta_0": "theta0",
-    "alpha_return": "alpha_ret",
-    "v_sat": "v_max",
-    "sweep": "T",
-    "b_1": "b1",
-}
-"""Other keys a report may use -> ours."""
 ANGLES = {"theta1", "theta2", "theta0"}
 PLACE_PARAMETERS = {("wheel_slip", "x"), ("wheel_slip", "y"), ("wheel_slip", "r")}
 """Where an effect is, scored as a place and not as a parameter."""
@@ -75,10 +59,7 @@ class Case:
     @property
     def is_unknown(self) -> bool:
         """The answer says that something unknown is there."""
-        unknown = (self.report or {}).get("unknown")
-        if isinstance(unknown, dict) and isinstance(unknown.get("said"), bool):
-            return bool(unknown["said"])
-        return bool(unknown)
+        return bool((self.report or {}).get("unknown"))
 
     @property
     def is_first_right(self) -> bool:
@@ -158,12 +139,7 @@ def is_placed(true: dict[str, Any], said: dict[str, Any]) -> bool:
 
 def parameters_within(true: dict[str, Any], said: dict[str, Any]) -> Iterable[tuple[str, bool]]:
     """Yield (parameter, true value within two standard errors) for those that both know."""
-    values = {SYNONYMS.get(key, key): value for key, value in (said.get("parameters") or {}).items()}
-    errors = said.get("stderr") or {}
-    if isinstance(errors, dict):
-        errors = {SYNONYMS.get(key, key): value for key, value in errors.items()}
-    else:
-        errors = dict.fromkeys(values, errors)
+    values, errors = said.get("parameters") or {}, said.get("stderr") or {}
     for key, value in true["parameters"].items():
         reported, error = values.get(key), errors.get(key)
         if (true["name"], key) in PLACE_PARAMETERS or value is None or reported is None or error is None:
