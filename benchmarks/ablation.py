@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from benchmarks.arguments import existing, parser_of
 from benchmarks.hidden_effects.results import Case, load
@@ -176,10 +176,9 @@ def paired_interval(lost: int, gained: int, n: int) -> tuple[float, float]:
     """
     moved = lost + gained
     if moved == 0:
-        most = float(beta.ppf(0.975, 1, n))
+        most = binomtest(0, n).proportion_ci().high
         return -most, most
-    low = float(beta.ppf(0.025, gained, lost + 1)) if gained else 0.0
-    high = float(beta.ppf(0.975, gained + 1, lost)) if lost else 1.0
+    low, high = binomtest(gained, moved).proportion_ci()
     return (2 * low - 1) * moved / n, (2 * high - 1) * moved / n
 
 

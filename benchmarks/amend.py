@@ -26,7 +26,10 @@ import sensorgraph as sg
 from benchmarks.arguments import parser_of
 from benchmarks.hidden_effects.geometry import interpolated
 from logs.run import Run
+from logs.transforms import compose, invert
 from sensorgraph.exporting.twin import drive_twin
+from sensorgraph.world.ray_intersection import nearest_walls
+from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot, parse_robot
 
 ROBOT = """name: bot
@@ -135,7 +138,8 @@ class Twin:
 
     def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
         """Cast rays; the walls are those of the arena."""
-        return cast(self.walls, ox, oy, ux, uy)
+        ranges, _ = nearest_walls(self.walls, *(part.ravel() for part in (ox, oy, ux, uy)))
+        return ranges.reshape(ox.shape)
 
     walls: np.ndarray
 
@@ -164,19 +168,6 @@ def with_servo_lag(robot: Robot) -> Robot:
     speeds = np.array([twin.step(v, 0.0, step)[1][0] for _ in range(round(20 * robot.actuators.tau / step))])
     mean_time = float(np.sum(1 - speeds / speeds[-1]) * step)
     return replace(robot, actuators=replace(robot.actuators, delay=mean_time - robot.actuators.tau))
-
-
-def cast(walls: np.ndarray, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
-    """Intersect rays with walls (n, 2, 2); inf without a hit."""
-    best = np.full(np.shape(ox), np.inf)
-    for (ax, ay), (bx, by) in walls:
-        ex, ey = bx - ax, by - ay
-        with np.errstate(divide="ignore", invalid="ignore"):
-            det = ex * uy - ey * ux
-            r = (ex * (ay - oy) - ey * (ax - ox)) / det
-            t = (ux * (ay - oy) - uy * (ax - ox)) / det
-            best = np.where((r > 0) & (t >= 0) & (t <= 1) & (r < best), r, best)
-    return best
 
 
 def draw(rng: np.random.Generator) -> Numbers:
@@ -229,24 +220,14 @@ def repeat(twin: Twin, run: Run) -> tuple[np.ndarray, np.ndarray]:
         before, after = (interpolated(t, np.array(stamps), travelled) for t in (at - 1 / rate, at))
         twists.append((after - before) * rate)
         a, b = (interpolated(t, np.array(stamps), np.array(poses)) for t in (start, start + SEGMENT))
-        ends.append(_relative(a, b))
+        ends.append(compose(invert(a), b))
     return np.concatenate(twists), np.array(ends)
-
-
-def _relative(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    c, s = np.cos(a[2]), np.sin(a[2])
-    dx, dy = b[:2] - a[:2]
-    return np.array([c * dx + s * dy, -s * dx + c * dy, np.remainder(b[2] - a[2] + np.pi, 2 * np.pi) - np.pi])
 
 
 def errors(run: Run, twin: Twin, arena: sg.Arena) -> np.ndarray:
     """Return the rms of ranges [m], twist in standard deviations, and position and heading of segments."""
-    x0, y0, phi = (part[:, None] for part in run.poses_at(run.stamps).T)
-    mx, my, yaw = twin.mount
-    ox, oy = x0 + np.cos(phi) * mx - np.sin(phi) * my, y0 + np.sin(phi) * mx + np.cos(phi) * my
-    angle = phi + yaw + run.sensor.bearings
-    simulated = cast(arena.walls, ox + 0 * angle, oy + 0 * angle, np.cos(angle), np.sin(angle))
-    off = run.ranges - simulated
+    lasers = compose(run.poses_at(run.stamps), twin.mount)
+    off = run.ranges - cast_laser(arena.walls, lasers, run.sensor.bearings, np.inf)[0]
     off = off[np.isfinite(off)]
     twists, ends = repeat(twin, run)
     starts = np.arange(WARM_UP, run.cmd_stamps[-1] - SEGMENT, SEGMENT)
@@ -255,8 +236,7 @@ def errors(run: Run, twin: Twin, arena: sg.Arena) -> np.ndarray:
     )
     wheels = twin.robot.wheels
     twist_off = (run.odom_twists[inside] - twists) / [wheels.sigma_v, wheels.sigma_omega]
-    true_ends = np.array([_relative(run.poses_at(t), run.poses_at(t + SEGMENT)) for t in starts])
-    end_off = ends - true_ends
+    end_off = ends - compose(invert(run.poses_at(starts)), run.poses_at(starts + SEGMENT))
     # a ray that passes an edge differs by metres, so that the median of the squares would hide it and the mean is all of it
     limited = np.minimum(np.abs(off), 0.05)
     return np.sqrt([np.mean(each**2) for each in (limited, twist_off, end_off[:, :2], end_off[:, 2])])

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import gaussian_kde, rankdata
+from scipy.stats import gaussian_kde, mannwhitneyu
 
 import logs
 from benchmarks.arguments import log_of_halves, parser_of
@@ -187,9 +187,8 @@ def _separation(field: Field, right: Floats, wrong: Floats, ranges: Floats) -> f
 
 def area(scores: Floats, wrong: Ints) -> float:
     """Return the area under the curve of an alarm: probability that a wrong second scores higher than a right one."""
-    n_wrong, n_right = int((wrong == 1).sum()), int((wrong == 0).sum())
-    above = rankdata(scores)[wrong == 1].sum() - n_wrong * (n_wrong + 1) / 2
-    return float(above / max(n_wrong * n_right, 1))
+    bad, good = scores[wrong == 1], scores[wrong == 0]
+    return float(mannwhitneyu(bad, good).statistic / (len(bad) * len(good)))
 
 
 class Alarms:
