@@ -3,21 +3,22 @@
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.occupancy_grid LOG.log.gz [LOG ...] [--split block|every10]
 
 The grid (5 cm) counts hits and passes of the training scans at their given poses; a cell stops a ray where its
-share of hits reaches a threshold. Beside it stands a TSDF of the same cells (`tsdf.py`), tuned in the same way. The threshold is tuned on ten stretches of the training scans that the grid
-leaves out for this: once for the least MAE, once for the largest share within 10 cm. A ray that meets no such
-cell is given the cell with the largest share on its way, because errors are scored given a return.
+share of hits reaches a threshold. A truncated signed distance field (TSDF, Curless and Levoy 1996) of the same cells stops it
+where the field changes sign; there the threshold is the weight below which a cell counts as unknown. A threshold is tuned on
+ten stretches of the training scans that the map leaves out for this: once for the least MAE, once for the largest share
+within 10 cm. A ray that meets no surface is given the cell with the largest share on its way, or the place where the field is
+least, because errors are scored given a return.
 """
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
 from benchmarks.arguments import parser_of
-from benchmarks.tsdf import Tsdf
+from benchmarks.measures import timed
 from logs import Run, pair, read
 from planners.types import Bools, Floats, Ints
 from sensorgraph.building.build import build
@@ -29,75 +30,149 @@ from sensorgraph.models.base import Point, Prediction
 GRID_CELL = 0.05  # [m]
 MARCH_STEP = 0.025  # [m] of the march
 MAX_HIT = 10.0  # [m] longest return that counts as a hit; rays are followed up to here
-THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+AT_ONCE = 16  # scans that are marched together
+TRUNCATION = 0.15  # [m] of the TSDF
 SCORE_COLUMNS = (
     "mae_m", "median_m", "rmse_m", "within_0.1m", "within_0.5m", "pearson_r", "chamfer_m", "f_score",
 )  # fmt: skip
 
 
-class Map(Protocol):
-    """What can be tuned and compared: built from scans, and cast with a threshold."""
+class Map:
+    """Cells around some poses: made of scans, and cast with a threshold."""
 
     name: ClassVar[str]
     thresholds: ClassVar[tuple[float, ...]]
-
-    def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None: ...
-
-    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
-        """Return ranges (n, n_rays) [m], and whether they are more than a best guess."""
-        ...
-
-
-class Grid:
-    """Share of hits in each cell, and where along a ray it first reaches the threshold."""
-
-    name: ClassVar[str] = "grid"
-    thresholds: ClassVar[tuple[float, ...]] = THRESHOLDS
+    margin: ClassVar[int] = 2
+    """Cells beyond the farthest return."""
 
     def __init__(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
         self.bearings = bearings
-        self.low = poses[:, :2].min(axis=0) - MAX_HIT - 2 * GRID_CELL
-        high = poses[:, :2].max(axis=0) + MAX_HIT + 2 * GRID_CELL
+        self.low = poses[:, :2].min(axis=0) - MAX_HIT - self.margin * GRID_CELL
+        high = poses[:, :2].max(axis=0) + MAX_HIT + self.margin * GRID_CELL
         self.shape = np.ceil((high - self.low) / GRID_CELL).astype(np.int64)
+        self.add(poses, ranges)
+
+    def add(self, poses: Floats, ranges: Floats) -> None:
+        """Take the scans."""
+        raise NotImplementedError
+
+    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
+        """Return ranges (n, n_rays) [m], and whether they are more than a best guess."""
+        ranges = np.empty((len(poses), len(self.bearings)))
+        found = np.empty(ranges.shape, dtype=np.bool_)
+        for start in range(0, len(poses), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            ranges[part], found[part] = self.march(poses[part], threshold)
+        return ranges, found
+
+    def march(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
+        """Return as `cast` what a few scans meet."""
+        raise NotImplementedError
+
+    def places(self, poses: Floats, distance: Floats) -> tuple[Floats, Floats]:
+        """Return x and y [m] at distances (..., n_steps) along each ray, (n, n_rays, n_steps)."""
+        angle = (poses[:, 2:3] + self.bearings)[:, :, None]
+        x = poses[:, 0, None, None] + distance * np.cos(angle)
+        return x, poses[:, 1, None, None] + distance * np.sin(angle)
+
+    def cells(self, x: Floats, y: Floats) -> tuple[Ints, Ints]:
+        """Return the indices of the cells at places."""
+        i = ((x - self.low[0]) / GRID_CELL).astype(np.int64)
+        return i, ((y - self.low[1]) / GRID_CELL).astype(np.int64)
+
+
+class Grid(Map):
+    """Share of hits in each cell, and where along a ray it first reaches the threshold."""
+
+    name = "grid"
+    thresholds = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+
+    def add(self, poses: Floats, ranges: Floats) -> None:
+        """Count hits and passes."""
         n_cells = int(self.shape.prod())
         hits, passes = np.zeros(n_cells), np.zeros(n_cells)
-        for start in range(0, len(poses), 32):
-            p, r = poses[start : start + 32], ranges[start : start + 32]
+        steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
+        for start in range(0, len(poses), AT_ONCE):
+            p, r = poses[start : start + AT_ONCE], ranges[start : start + AT_ONCE]
             hit = np.isfinite(r) & (r > 0.1) & (r < MAX_HIT)
-            hits += np.bincount(self._cells(p, r[:, :, None])[hit].ravel(), minlength=n_cells)
+            hits += np.bincount(self._flat(p, r[:, :, None])[hit].ravel(), minlength=n_cells)
             beyond = np.where(r >= MAX_HIT, MAX_HIT, 0.0)  # +inf passes up to the cap
             reach = np.where(hit, r - GRID_CELL, beyond)
-            steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
-            cells = self._cells(p, np.broadcast_to(steps, (*r.shape, len(steps))))
             seen = steps < np.nan_to_num(reach, posinf=MAX_HIT)[:, :, None]
-            passes += np.bincount(cells[seen], minlength=n_cells) * (MARCH_STEP / GRID_CELL)
+            passes += np.bincount(self._flat(p, steps)[seen], minlength=n_cells) * (MARCH_STEP / GRID_CELL)
         self.share = np.where(hits > 0, hits / np.maximum(hits + passes, 1e-9), 0.0)
 
-    def _cells(self, poses: Floats, distance: Floats) -> Ints:
-        """Return the cell at distances (n, n_rays, n_steps) along each ray."""
-        angle = (poses[:, 2:3] + self.bearings)[:, :, None]
+    def _flat(self, poses: Floats, distance: Floats) -> Ints:
+        """Return the cell at distances along each ray, 0 outside."""
         distance = np.where(np.isfinite(distance), np.clip(distance, 0.0, MAX_HIT), 0.0)
-        i = ((poses[:, 0, None, None] + distance * np.cos(angle) - self.low[0]) / GRID_CELL).astype(np.int64)
-        j = ((poses[:, 1, None, None] + distance * np.sin(angle) - self.low[1]) / GRID_CELL).astype(np.int64)
+        i, j = self.cells(*self.places(poses, distance))
         inside = (i >= 0) & (j >= 0) & (i < self.shape[0]) & (j < self.shape[1])
         return np.where(inside, i * self.shape[1] + j, 0)
 
-    def cast(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
-        """March each ray; return ranges (n, n_rays) [m] and whether a cell reached the threshold."""
-        ranges = np.empty((len(poses), len(self.bearings)))
-        found = np.empty(ranges.shape, bool)
+    def march(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
+        """Find the first cell that reaches the threshold."""
         steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
-        for start in range(0, len(poses), 32):
-            p = poses[start : start + 32]
-            every = np.broadcast_to(steps, (len(p), len(self.bearings), len(steps)))
-            share = self.share[self._cells(p, every)]
-            stops = share >= threshold
-            hit = stops.any(axis=2)
-            first = np.where(hit, stops.argmax(axis=2), share.argmax(axis=2))
-            last = first + 1  # the middle of the stretch inside the cell: on average half a cell further
-            ranges[start : start + 32] = steps[np.minimum(last, len(steps) - 1)]
-            found[start : start + 32] = hit
-        return ranges, found
+        share = self.share[self._flat(poses, steps)]
+        stops = share >= threshold
+        hit = stops.any(axis=2)
+        first = np.where(hit, stops.argmax(axis=2), share.argmax(axis=2))
+        last = first + 1  # the middle of the stretch inside the cell: on average half a cell further
+        return steps[np.minimum(last, len(steps) - 1)], hit
+
+
+class Tsdf(Map):
+    """Mean signed distance to the ends of the rays, positive on the near side, and weight of each cell; cast bilinearly."""
+
+    name = "tsdf"
+    thresholds = (0.2, 0.5, 1.0, 2.0, 4.0)
+    margin = 3
+
+    def add(self, poses: Floats, ranges: Floats) -> None:
+        """Add up the distances of the cells near each ray's end."""
+        n_cells = int(self.shape.prod())
+        total, weight = np.zeros(n_cells), np.zeros(n_cells)
+        steps = np.arange(MARCH_STEP / 2, MAX_HIT + TRUNCATION, MARCH_STEP)
+        for start in range(0, len(poses), AT_ONCE):
+            p, r = poses[start : start + AT_ONCE], ranges[start : start + AT_ONCE]
+            i, j = self.cells(*self.places(p, steps))
+            hit = (np.isfinite(r) & (r > 0.1) & (r < MAX_HIT))[:, :, None]
+            beyond = np.where(r >= MAX_HIT, MAX_HIT, 0.0)[:, :, None]
+            end = np.where(hit, np.nan_to_num(r, posinf=MAX_HIT, neginf=0.0)[:, :, None], beyond)
+            angle = (p[:, 2:3] + self.bearings)[:, :, None]
+            along = ((i + 0.5) * GRID_CELL + self.low[0] - p[:, 0, None, None]) * np.cos(angle)
+            along = along + ((j + 0.5) * GRID_CELL + self.low[1] - p[:, 1, None, None]) * np.sin(angle)
+            distance = np.where(hit, np.clip((end - along) / TRUNCATION, -1, 1), 1.0)
+            use = (steps < np.where(hit, end + TRUNCATION, end)) & (i < self.shape[0]) & (j < self.shape[1])
+            cell = (i * self.shape[1] + j)[use]
+            total += np.bincount(cell, weights=distance[use], minlength=n_cells) * (MARCH_STEP / GRID_CELL)
+            weight += np.bincount(cell, minlength=n_cells) * (MARCH_STEP / GRID_CELL)
+        self.weight = weight.reshape(self.shape)
+        self.mean = (total / np.maximum(weight, 1e-9)).reshape(self.shape)
+
+    def march(self, poses: Floats, threshold: float) -> tuple[Floats, Bools]:
+        """Find where the field changes sign."""
+        steps = np.arange(MARCH_STEP / 2, MAX_HIT, MARCH_STEP)
+        field, known = self._at(*self.places(poses, steps), threshold)
+        change = (field[..., :-1] > 0) & (field[..., 1:] <= 0) & known[..., :-1] & known[..., 1:]
+        hit = change.any(axis=2)
+        first = np.where(hit, change.argmax(axis=2), 0)[..., None]
+        before, after = (np.take_along_axis(field, k, axis=2)[..., 0] for k in (first, first + 1))
+        crossing = steps[first[..., 0]] + MARCH_STEP * before / np.where(hit, before - after, 1.0)
+        guess = steps[np.where(known, field, np.inf).argmin(axis=2)]
+        return np.where(hit, crossing, np.where(known.any(axis=2), guess, MAX_HIT)), hit
+
+    def _at(self, x: Floats, y: Floats, threshold: float) -> tuple[Floats, Bools]:
+        """Interpolate the field at places between the middles of four cells; all four must be known."""
+        u, v = (x - self.low[0]) / GRID_CELL - 0.5, (y - self.low[1]) / GRID_CELL - 0.5
+        u, v = np.clip(u, 0, self.shape[0] - 2), np.clip(v, 0, self.shape[1] - 2)
+        i, j = u.astype(np.int64), v.astype(np.int64)
+        value, known = np.zeros(x.shape), np.ones(x.shape, dtype=np.bool_)
+        for di in (0, 1):
+            for dj in (0, 1):
+                share = (u - i if di else 1 - u + i) * (v - j if dj else 1 - v + j)
+                value += share * self.mean[i + di, j + dj]
+                known &= self.weight[i + di, j + dj] >= threshold
+        return value, known
 
 
 class Tuned:
@@ -139,6 +214,20 @@ def tuned(kind: type[Map], poses: Floats, ranges: Floats, bearings: Floats) -> d
     }
 
 
+def graph_of(kind: type[Map], threshold: float, run: Run, split: str | None = None) -> Sensorgraph:
+    """Return a map of a run but for what a split holds out, with a threshold, as a graph."""
+    model: Any = Tuned(kind(*scans_of(run, split)), threshold)
+    origin = {"inputs": [], "split": split}
+    return Sensorgraph(model=model, sensor=run.sensor, pose_frame=run.pose_frame, origin=origin)
+
+
+def scans_of(run: Run, split: str | None = None) -> tuple[Floats, Floats, Floats]:
+    """Return poses, ranges and bearings of the scans that have a pose and that a split does not hold out."""
+    pairing = pair(run)
+    used = pairing.paired if split is None else pairing.paired & ~held_out(run, split)
+    return pairing.poses[used], run.ranges[used], run.sensor.bearings
+
+
 def line(label: str, result: Evaluation, seconds: float) -> str:
     """Format one row of the table."""
     values = (result.all[name] for name in SCORE_COLUMNS)
@@ -151,26 +240,19 @@ def line(label: str, result: Evaluation, seconds: float) -> str:
 
 def compare(run: Run, name: str, split: str) -> None:
     """Print our model and the grid on the scans that the split holds out."""
-    pairing = pair(run)
-    train = pairing.paired & ~held_out(run, split)
-    poses, ranges, bearings = pairing.poses[train], run.ranges[train], run.sensor.bearings
-    print(f"{name}, {split}: {int(train.sum())} scans to train, {run.sensor.n_rays} rays")
+    scans = scans_of(run, split)
+    print(f"{name}, {split}: {len(scans[0])} scans to train, {run.sensor.n_rays} rays")
     print(f"{'':<34}" + "".join(f"{column:>13}" for column in SCORE_COLUMNS) + f"{'fit [s]':>9}")
     for model in ("polynomial", "cells"):
-        start = time.perf_counter()
-        graph = build([run], model=model, split=split)
-        took = time.perf_counter() - start
-        print(line(model, evaluate(graph, run, split=split, cap=MAX_HIT), took))
-    kinds: tuple[type[Map], ...] = (Grid, Tsdf)
-    for kind in kinds:
-        for label, threshold in tuned(kind, poses, ranges, bearings).items():
-            start = time.perf_counter()
-            stand_in: Any = Tuned(kind(poses, ranges, bearings), threshold)
-            took = time.perf_counter() - start
-            origin = {"inputs": [], "split": split}
-            wrapped = Sensorgraph(model=stand_in, sensor=run.sensor, pose_frame=run.pose_frame, origin=origin)
-            result = evaluate(wrapped, run, split=split, cap=MAX_HIT)
-            print(line(f"{label} (threshold {threshold:g})", result, took))
+        with timed() as took:
+            graph = build([run], model=model, split=split)
+        print(line(model, evaluate(graph, run, split=split, cap=MAX_HIT), took.wall))
+    for kind in (Grid, Tsdf):
+        for label, threshold in tuned(kind, *scans).items():
+            with timed() as took:
+                graph = graph_of(kind, threshold, run, split)
+            result = evaluate(graph, run, split=split, cap=MAX_HIT)
+            print(line(f"{label} (threshold {threshold:g})", result, took.wall))
 
 
 def main() -> None:

@@ -12,14 +12,13 @@ placements the cells were better than the grid with the least MAE.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks.arguments import parser_of
 from benchmarks.measures import half_interval
-from benchmarks.occupancy_grid import MAX_HIT, Grid, Tuned, tuned
-from logs import Run, pair, read
+from benchmarks.occupancy_grid import MAX_HIT, Grid, graph_of, scans_of, tuned
+from logs import Run, read
 from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES, held_out
@@ -32,13 +31,8 @@ SMALLER_IS_BETTER = np.array([True, True, False, False, False])
 
 def grid(train: Run) -> Sensorgraph:
     """Return an occupancy grid of `train`, its threshold tuned within it for the least MAE."""
-    pairing = pair(train)
-    poses, ranges = pairing.poses[pairing.paired], train.ranges[pairing.paired]
-    (_, threshold), *_ = tuned(Grid, poses, ranges, train.sensor.bearings).items()
-    stand_in: Any = Tuned(Grid(poses, ranges, train.sensor.bearings), threshold)
-    return Sensorgraph(
-        model=stand_in, sensor=train.sensor, pose_frame=train.pose_frame, origin={"inputs": []}
-    )
+    (_, threshold), *_ = tuned(Grid, *scans_of(train)).items()
+    return graph_of(Grid, threshold, train)
 
 
 def row(result: Evaluation) -> Floats:
