@@ -15,22 +15,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
-import yaml
 
 import logs
 from logs.run import Run, pair
 from planners.arena import Arena
-from planners.maps import load, no_go
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
-from sensorgraph.cli.twin import run_script
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.effects import EFFECTS
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.exporting.amcl import DEFAULTS, BootstrapEstimate
-from sensorgraph.exporting.export import TARGETS, export
-from sensorgraph.exporting.nav2 import amcl_yaml
+from sensorgraph.exporting.export import export
 from sensorgraph.exporting.twin import Simulator, drive_twin
 from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.loading import load_arena
@@ -40,7 +35,6 @@ from sensorgraph.world.robot import Robot, parse_robot
 
 ROBOT = parse_robot("sensor: {n_rays: 61, rate: 5.0}\n")
 SIMULATORS = ["mujoco", "irsim"]
-BROKEN = "broken.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -74,20 +68,24 @@ def simulator(folder: Path, target: str) -> Simulator:
     return cast_to(Simulator, getattr(module, name)(folder))
 
 
-def spin(arena: Arena, robot: Robot) -> Trajectory:
-    """Return 14 s of a curve and turns near the roomiest place."""
-    x, y, _ = ExportedWorld.of(arena, robot).start
-    t = np.arange(0.0, 14.0, 0.05)
-    omega = 0.8 * np.sin(0.45 * t) * np.minimum(t, 1.0)
-    v = 0.12 * np.cos(0.7 * t) * np.minimum(t, 1.0)
+def curve(t: Floats, v: Floats, omega: Floats, start: tuple[float, float]) -> Trajectory:
+    """Return the drive with speeds v (n,) [m/s] and omega (n,) [rad/s], every 50 ms, from a place [m]."""
     phi = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * 0.05)])
-    xy = np.cumsum(np.stack([v * np.cos(phi), v * np.sin(phi)], axis=1) * 0.05, axis=0) + [x, y]
+    xy = np.cumsum(np.stack([v * np.cos(phi), v * np.sin(phi)], axis=1) * 0.05, axis=0) + start
     return Trajectory(
         stamps=t,
         poses=np.column_stack([xy, phi]),
         twists=np.column_stack([v, omega]),
         primitives=np.full(len(t), "move"),
     )
+
+
+def spin(arena: Arena, robot: Robot) -> Trajectory:
+    """Return 14 s of a curve and turns near the roomiest place."""
+    x, y, _ = ExportedWorld.of(arena, robot).start
+    t = np.arange(0.0, 14.0, 0.05)
+    omega = 0.8 * np.sin(0.45 * t) * np.minimum(t, 1.0)
+    return curve(t, 0.12 * np.cos(0.7 * t) * np.minimum(t, 1.0), omega, (x, y))
 
 
 @pytest.fixture(scope="module")
@@ -97,12 +95,7 @@ def square_tour() -> Trajectory:
     phase = t % 7.5
     v = np.clip(np.minimum(phase, 4.0 - phase), 0.0, 1.0) * 0.38
     omega = np.where(phase > 4.2, np.clip(np.minimum(phase - 4.2, 7.3 - phase), 0.0, 1.0) * 0.75, 0.0)
-    phi = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * 0.05)])
-    xy = np.cumsum(np.stack([v * np.cos(phi), v * np.sin(phi)], axis=1) * 0.05, axis=0) + [0.7, 0.9]
-    return Trajectory(
-        stamps=t, poses=np.column_stack([xy, phi]), twists=np.column_stack([v, omega]),
-        primitives=np.full(len(t), "move"),
-    )  # fmt: skip
+    return curve(t, v, omega, (0.7, 0.9))
 
 
 def test_boxes_stand_where_the_walls_are_and_leave_free_space_free(world: ExportedWorld) -> None:
@@ -163,12 +156,7 @@ def test_wheels_do_not_touch_a_wall_that_the_disc_clears(world: ExportedWorld, t
     """A plan keeps the disc of 0.2 m clear; tyres of 0.4 m base turn 2 cm beyond it."""
     export(world, "mujoco", tmp_path)
     t = np.arange(0.0, 9.0, 0.05)
-    omega = 0.8 * np.minimum(t, 1.0)
-    phi = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * 0.05)])
-    plan = Trajectory(
-        stamps=t, poses=np.column_stack([np.full(len(t), 0.21), np.full(len(t), 2.0), phi]),
-        twists=np.column_stack([np.zeros(len(t)), omega]), primitives=np.full(len(t), "move"),
-    )  # fmt: skip
+    plan = curve(t, np.zeros(len(t)), 0.8 * np.minimum(t, 1.0), (0.21, 2.0))
     run = drive_twin(simulator(tmp_path, "mujoco"), plan, world.arena, ROBOT)
     wanted, _ = plan.at(run.pose_stamps)
     assert np.hypot(*(run.poses[:, :2] - wanted[:, :2]).T).max() < 0.015  # noise of the reference: 2 mm
@@ -289,39 +277,6 @@ def test_sdf_holds_walls_robot_and_laser(world: ExportedWorld, tmp_path: Path) -
     )  # without it, /scan has no transform
 
 
-def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path) -> None:
-    zone = no_go.zones("2.9,0.2,3.4,0.2,3.4,0.7,2.9,0.7")
-    export(world, "nav2", tmp_path, no_go=zone)
-    again = load(tmp_path / "map.yaml")
-    ring = again.free.symmetric_difference(world.arena.free)
-    assert ring.area < 0.06 * world.arena.free.length  # a cell along every wall
-    mask = load(tmp_path / "keepout.yaml")
-    assert not mask.contains(np.array([3.1, 0.4]))
-    assert mask.contains(np.array([1.2, 1.2]))
-    steps = (tmp_path / "README.md").read_text()
-    assert steps.index("nav2_amcl amcl") < steps.index(
-        "ros2 lifecycle set"
-    )  # until then Nav2's nodes do nothing
-    parameters = yaml.safe_load((tmp_path / "amcl.yaml").read_text())["amcl"]["ros__parameters"]
-    assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
-
-
-def test_numbers_of_amcl_are_floats(world: ExportedWorld) -> None:
-    """ROS 2 refuses `laser_max_range: 100`, because the parameter is a double."""
-    estimates = {
-        "z_max": BootstrapEstimate(value=0.0, low=0.0, high=0.0),
-        "laser_max_range": BootstrapEstimate(value=8.0, low=8.0, high=8.0),
-        "alpha3": BootstrapEstimate(value=1e-5, low=0.0, high=2e-5),
-    }
-    for found in ({}, estimates):
-        parameters = yaml.safe_load(amcl_yaml(found, None, world))["amcl"]["ros__parameters"]
-        numbers = {key: value for key, value in parameters.items() if key in DEFAULTS} | parameters[
-            "initial_pose"
-        ]
-        assert {key for key, value in numbers.items() if not isinstance(value, float)} == set()
-        assert numbers.keys() >= DEFAULTS.keys() and isinstance(parameters["laser_min_range"], float)
-
-
 @pytest.mark.parametrize(("target", "module"), [("mujoco", "mujoco"), ("irsim", "irsim")])
 def test_a_script_without_its_simulator_is_one_line(
     target: str, module: str, world: ExportedWorld, tmp_path: Path
@@ -355,21 +310,6 @@ def test_the_command_writes_a_folder_whose_script_records_a_run(tmp_path: Path) 
     assert "nowhere does not exist" in bad.stderr
 
 
-def test_a_script_says_what_it_lacks_before_it_drives(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def script(*arguments: str) -> str:
-        monkeypatch.setattr(sys, "argv", ["drive.py", *arguments])
-        with pytest.raises(SystemExit, match="2"):
-            run_script(tmp_path, lambda: pytest.fail("it drove"), "scene.xml")
-        return capsys.readouterr().err
-
-    assert "scene.xml is missing; export the world again" in script("plan")
-    for name in ("scene.xml", "arena.geojson", "robot.yaml"):
-        (tmp_path / name).touch()
-    assert "does not exist; create it" in script("plan", "-o", str(tmp_path / "nowhere" / "run.mcap"))
-
-
 def test_a_second_export_leaves_nothing_of_the_first(world: ExportedWorld, tmp_path: Path) -> None:
     planted = ExportedWorld.of(world.arena, ROBOT, [EFFECTS["range_bias"](b=0.05)])
     export(planted, "mujoco", tmp_path)
@@ -380,46 +320,9 @@ def test_a_second_export_leaves_nothing_of_the_first(world: ExportedWorld, tmp_p
     assert (tmp_path / "mine.txt").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["square", "--to", "mujco"], "did you mean mujoco?"),
-        (["square", "--to", "isaac"], ", ".join(TARGETS)),
-        (["nowhere", "--to", "irsim"], "nowhere does not exist"),
-        (["square", "--to", "irsim", "--no-go", "1,1,2,1,2,2"], "require --to nav2"),
-        (["square", "--to", "nav2", "--no-go", "91,91,92,91,92,92"], "no no-go zone lies in the arena"),
-        (["square", "--to", "gazebo", "--wall-height", "-1"], "expected a height"),
-        (["square", "--to", "mujoco", "--effects", "nowhere.yaml"], "nowhere.yaml does not exist"),
-        (["square", "--to", "mujoco", "--effects", BROKEN], "not YAML"),
-        ([BROKEN, "--to", "mujoco"], "broken.yaml"),
-        (["square", "--to", "nav2", "--run", "nowhere.mcap"], "nowhere.mcap: No such file"),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_nothing(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path(BROKEN).write_text(": [\n")
-    assert cli(["export", *arguments, "-o", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err.strip().splitlines()
-    assert len(said) == 1
-    assert words in said[0]
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_robot_too_large_for_the_arena_is_refused() -> None:
     with pytest.raises(SensorgraphError, match="fits nowhere in the arena"):
         ExportedWorld.of(load_arena("square"), parse_robot("footprint_radius: 3.0\n"))
-
-
-def test_an_output_that_is_a_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").touch()
-    assert cli(["export", "square", "--to", "nav2", "-o", str(tmp_path / "file")]) == 2
-    assert "is a file; give the name of a folder" in capsys.readouterr().err
 
 
 @pytest.mark.slow

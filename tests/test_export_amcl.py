@@ -1,24 +1,40 @@
-"""AMCL's parameters from a run: what was planted is found, with intervals that hold it."""
+"""Export to Nav2: the map is the arena, and AMCL's parameters from a run hold what was planted, within their intervals."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+import yaml
 
 from logs.run import Run
+from planners.maps import load, no_go
 from sensorgraph.exporting import amcl
-from sensorgraph.exporting.amcl import DEFAULTS, _motion_noise, compare_laser_models, estimate_amcl
+from sensorgraph.exporting.amcl import (
+    DEFAULTS,
+    BootstrapEstimate,
+    _motion_noise,
+    compare_laser_models,
+    estimate_amcl,
+)
 from sensorgraph.exporting.amcl_filter import LASER_MODELS, CellDistances, filtered
-from sensorgraph.exporting.nav2 import map_of
+from sensorgraph.exporting.export import export
+from sensorgraph.exporting.nav2 import amcl_yaml, map_of
+from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.loading import load_arena
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
 from sensorgraph.world.simulate import occupancy_map
 
 ROBOT = parse_robot("sensor: {n_rays: 61, rate: 5.0}\n")
+
+
+@pytest.fixture(scope="module")
+def world() -> ExportedWorld:
+    return ExportedWorld.of(load_arena("square"), ROBOT, name="square")
 
 
 def noisy_run(
@@ -139,3 +155,36 @@ def test_the_map_ends_near_the_walls_and_keeps_its_cells() -> None:
     assert grid.resolution == 0.05
     assert grid.data.shape[1] * 0.05 == pytest.approx(np.ptp(ends[:, 0]) + 20, abs=0.5)
     assert (grid.data == 100).any()
+
+
+def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path) -> None:
+    zone = no_go.zones("2.9,0.2,3.4,0.2,3.4,0.7,2.9,0.7")
+    export(world, "nav2", tmp_path, no_go=zone)
+    again = load(tmp_path / "map.yaml")
+    ring = again.free.symmetric_difference(world.arena.free)
+    assert ring.area < 0.06 * world.arena.free.length  # a cell along every wall
+    mask = load(tmp_path / "keepout.yaml")
+    assert not mask.contains(np.array([3.1, 0.4]))
+    assert mask.contains(np.array([1.2, 1.2]))
+    steps = (tmp_path / "README.md").read_text()
+    assert steps.index("nav2_amcl amcl") < steps.index(
+        "ros2 lifecycle set"
+    )  # until then Nav2's nodes do nothing
+    parameters = yaml.safe_load((tmp_path / "amcl.yaml").read_text())["amcl"]["ros__parameters"]
+    assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
+
+
+def test_numbers_of_amcl_are_floats(world: ExportedWorld) -> None:
+    """ROS 2 refuses `laser_max_range: 100`, because the parameter is a double."""
+    estimates = {
+        "z_max": BootstrapEstimate(value=0.0, low=0.0, high=0.0),
+        "laser_max_range": BootstrapEstimate(value=8.0, low=8.0, high=8.0),
+        "alpha3": BootstrapEstimate(value=1e-5, low=0.0, high=2e-5),
+    }
+    for found in ({}, estimates):
+        parameters = yaml.safe_load(amcl_yaml(found, None, world))["amcl"]["ros__parameters"]
+        numbers = {key: value for key, value in parameters.items() if key in DEFAULTS} | parameters[
+            "initial_pose"
+        ]
+        assert {key for key, value in numbers.items() if not isinstance(value, float)} == set()
+        assert numbers.keys() >= DEFAULTS.keys() and isinstance(parameters["laser_min_range"], float)
