@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import rerun as rr
+from report_samples import columns_of, with_scan
 from scan_samples import ROOM_ROBOT, drive_in_room
 from shapely import box
 
@@ -33,13 +34,11 @@ from sensorgraph.diagnosis.result import (
     FitQuality,
     Gap,
     Rival,
-    Unknown,
     without_close_calls,
 )
 from sensorgraph.diagnosis.stages import STAGES as DIAGNOSIS_STAGES
 from sensorgraph.effects import EFFECTS, effects_file
 from sensorgraph.types import Progress
-from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
 
 FILES = {"report.json", "report.html", "effects.yaml", "review.rrd", "timing.json"}
@@ -81,11 +80,6 @@ def test_every_stage_of_a_diagnosis_is_named(found: Finding) -> None:
 
 
 @pytest.fixture(scope="module")
-def silent(room: Arena) -> Finding:
-    return diagnose(drive_in_room(room), room, parse_robot(ROOM_ROBOT))
-
-
-@pytest.fixture(scope="module")
 def saved(found: Finding, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a saved report."""
     folder = tmp_path_factory.mktemp("report") / "out"
@@ -93,30 +87,17 @@ def saved(found: Finding, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def unknown(silent: Finding) -> Finding:
-    deviation = Deviation(
-        family="bias", partition="wall", label="w/edge_1", z=9.0, size=0.021, n_rays=812, xy=(4.0, 1.5)
-    )
-    doubt = Unknown(
-        statement="something no effect of the library explains",
-        deviation=deviation,
-        statistic=9.0,
-        threshold=4.0,
-    )
-    return with_scan(silent, unknown=doubt, deviations=(deviation,))
-
-
-def with_scan(finding: Finding, **changes: object) -> Finding:
-    channels = {**finding.channels, "scan": replace(finding.channels["scan"], **changes)}  # type: ignore[arg-type]
-    return replace(finding, channels=channels)
+def rival_of(finding: Finding, lead: float) -> Rival:
+    """Return a rival of the named effect that has so many nats less."""
+    [a] = finding.effects
+    nats = (a.evidence or 0) - lead
+    return Rival(name="range_scale", instead_of=a.name, evidence_nats=nats, separates="near and far")
 
 
 def external(html: str) -> list[str]:
     """Return what a page loads from elsewhere."""
-    return [
-        v for v in re.findall(r"(?:src|href)=[\"']?([^\"'> ]+)", html) if not v.startswith(("data:", "#"))
-    ]
+    found = re.findall(r"(?:src|href)=[\"']?([^\"'> ]+)", html)
+    return [v for v in found if not v.startswith(("data:", "#"))]
 
 
 def test_files_of_a_found_effect_hold_what_the_interface_promises(saved: Path) -> None:
@@ -154,8 +135,7 @@ def test_effects_yaml_reads_back_as_found(found: Finding, room: Arena, saved: Pa
 
 
 def test_the_recording_holds_three_kinds_of_scans(found: Finding, saved: Path) -> None:
-    path = str(saved / "review.rrd")
-    columns = {str(c) for c in rr.chunk.RrdReader(path).store().schema().component_columns()}
+    path, held = str(saved / "review.rrd"), columns_of(saved / "review.rrd")
     for entity in (
         "plan/measured",
         "plan/nominal",
@@ -164,7 +144,7 @@ def test_the_recording_holds_three_kinds_of_scans(found: Finding, saved: Path) -
         "residual/nominal",
         "report",
     ):
-        assert any(f"/{entity}" in column for column in columns), entity
+        assert f"/{entity}" in held, entity
     assert found.explained is not None
     scans = found.explained.null.solver.data.n_scans
     chunks = rr.chunk.RrdReader(path).stream().filter(content="/plan/amended").to_chunks()
@@ -188,102 +168,16 @@ def test_the_picture_shows_the_part_of_a_large_arena_that_the_run_saw(found: Fin
     left, low, right, high = room.bounds
     assert x0 < left and y0 < low and right < x1 and high < y1
     far = np.array([[[left + 60.0, low + 60.0], [left + 61.0, low + 60.0]]])
-    names, surfaces = (*room.names, "far"), (*room.surfaces, "wall")
     building = replace(
-        room,
-        free=room.free.union(box(left, low, left + 61, low + 61)),
-        walls=np.concatenate([room.walls, far]),
-        names=names,
-        surfaces=surfaces,
-    )
+        room, free=room.free.union(box(left, low, left + 61, low + 61)), walls=np.concatenate([room.walls, far]),
+        names=(*room.names, "far"), surfaces=(*room.surfaces, "wall"),
+    )  # fmt: skip
     large = replace(compared, arena=building)
     assert large.limits[2] < left + 1.5 * (right - left)
     seen = large.measured[np.isfinite(large.measured)]
     ends = large.ends(np.flatnonzero(np.isfinite(large.measured)), seen)
     inside = (ends > large.limits[:2]).all(axis=1) & (ends < large.limits[2:]).all(axis=1)
     assert inside.mean() > 0.99
-
-
-def test_a_mount_that_driving_tells_is_in_the_poses_and_amends_no_scan(silent: Finding) -> None:
-    """The poses of a located run put the laser where it was; moved by its mount as well, it is off by that."""
-    mount = EFFECTS["mount_xy"](dx=0.095, dy=0.006)
-    odometry = replace(silent.channels["odometry"], effects=(mount,))
-    compared = comparison.compare(replace(silent, channels={**silent.channels, "odometry": odometry}))
-    assert compared is not None and not compared.is_amended
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_nothing_found_is_said(silent: Finding, tmp_path: Path) -> None:
-    save_report(silent, tmp_path)
-    assert summarise(silent).outcome == "nothing"
-    assert "Nothing material found." in (tmp_path / "report.html").read_text()
-    assert effects_file.read(tmp_path / "effects.yaml") == ()
-    columns = {
-        str(c) for c in rr.chunk.RrdReader(str(tmp_path / "review.rrd")).store().schema().component_columns()
-    }
-    assert not any("/plan/amended" in column for column in columns)
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_a_reference_worse_than_stated_is_said_where_nothing_is_found(
-    silent: Finding, room: Arena, tmp_path: Path
-) -> None:
-    """Poses off by twice their tolerance: they agree only if the tolerance is wrong, and the report says so."""
-    run, rng = drive_in_room(room), np.random.default_rng(5)
-    shaken = run.poses + rng.normal(size=run.poses.shape) * [0.005, 0.005, 0.0034]
-    finding = diagnose(replace(run, poses=shaken), room, parse_robot(ROOM_ROBOT), plan_next=False)
-    factor = finding.tolerance_factors["pose"]
-    assert finding.effects == () and factor > 1.6
-    said = " ".join(summarise(finding).details)
-    assert f"only if the reference pose is {factor:.1f} times worse" in said
-    assert "within the accuracy of a careful setup" not in said
-    save_report(finding, tmp_path)
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["pose_scale"] == pytest.approx(factor) and report["map_scale"] < 1.3
-    floors = [report["gap"][key]["rmse_m"] for key in ("stated_floor", "noise_floor")]
-    assert 0.9 * floors[1] < floors[0] <= floors[1]  # poses are fitted to each scan before it is judged
-    page = (tmp_path / "report.html").read_text()
-    assert f"the reference poses: {factor:.2f} times the specified value" in page
-    assert all(f"{100 * floor:.2f} cm" in said for floor in floors)
-    assert "careful setup" in " ".join(summarise(silent).details)
-
-
-@pytest.mark.slow
-def test_the_same_finding_gives_the_same_bytes(silent: Finding, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        save_report(silent, tmp_path / name)
-    for path in (tmp_path / "a").iterdir():
-        if path.suffix != ".rrd":  # chunks of a recording carry ids
-            assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_something_unknown_is_said_with_its_place(unknown: Finding, tmp_path: Path) -> None:
-    what = summarise(unknown)
-    assert what.outcome == "unknown"
-    assert what.headline == "Something unknown at wall w/edge_1 about (4.0, 1.5) m."
-    assert "2.1 cm too long" in what.details[0]
-    save_report(unknown, tmp_path)
-    assert json.loads((tmp_path / "report.json").read_text())["unknown"]["where"]["label"] == "w/edge_1"
-    assert what.headline in (tmp_path / "report.html").read_text()
-
-
-def test_a_doubt_of_the_motion_says_what_differs(unknown: Finding) -> None:
-    scan = unknown.channels["scan"]
-    assert scan.unknown is not None and scan.unknown.deviation is not None
-    label = "by a loss of motion after a wheel reverses: play"
-    told = replace(scan.unknown.deviation, channel="odometry", partition="reversal", label=label)
-    said = replace(unknown, channels={"scan": replace(scan, unknown=replace(scan.unknown, deviation=told))})
-    assert summarise(said).headline == f"Something unknown: odometry and reference pose differ {label}."
-
-
-def test_what_another_channel_does_not_know_either_is_said_too(unknown: Finding) -> None:
-    words = "odometry and reference pose differ by jumps, which no effect of the library explains; it is off by 1 cm"
-    odometry = ChannelResult(channel="odometry", unknown=Unknown(statement=words))
-    both = summarise(replace(unknown, channels={**unknown.channels, "odometry": odometry}))
-    sentence = "Odometry and reference pose differ by jumps; it is off by 1 cm."
-    assert both.headline == summarise(unknown).headline
-    assert sentence in both.details and sentence not in summarise(unknown).details
 
 
 def test_a_script_reads_the_gap_of_the_channel_that_the_headline_is_about(found: Finding) -> None:
@@ -313,49 +207,18 @@ def test_the_demo_keeps_what_was_planted_and_what_was_found(found: Finding) -> N
     assert other["found"] is None
 
 
-def test_wide_tolerances_say_what_they_hide(room: Arena, silent: Finding) -> None:
-    machine = parse_robot(ROOM_ROBOT)
-    machine = replace(machine, tolerances=replace(machine.tolerances, mount_yaw=0.03))
-    turned = replace(machine.sensor, mount=machine.sensor.mount + [0.0, 0.0, 0.03])
-    run = drive_in_room(room)
-    ranges = cast(room, run.poses, turned).ranges + 0.01 * np.random.default_rng(1).normal(
-        size=run.ranges.shape
-    )
-    hidden = diagnose(replace(run, ranges=ranges), room, machine, plan_next=False)
-    assert "mount_yaw" not in [a.name for a in hidden.effects]
-    text = summarise(hidden).details[-1]
-    assert re.search(
-        r"wide \(mount_yaw\); they hide: .*mounting yaw of up to 4\.\d+° \(this run may have 1\.[67]\d*°\)",
-        text,
-    )
-    assert not any(
-        "tolerances" in line for line in summarise(silent).details
-    )  # those of a careful set-up hide nothing
-
-
 def test_a_close_runner_up_leaves_it_undecided(found: Finding) -> None:
-    [a] = found.effects
-    rival = Rival(
-        name="range_scale", instead_of=a.name, evidence_nats=(a.evidence or 0) - 2, separates="near and far"
-    )
-    what = summarise(with_scan(found, rivals=(rival,)))
+    what = summarise(with_scan(found, rivals=(rival_of(found, 2.0),)))
     assert what.outcome == "undecided"
     assert what.headline.startswith("Undecided between range bias")
     assert "near and far" in what.details[0]
-    far = replace(rival, evidence_nats=(a.evidence or 0) - 50)
-    assert summarise(with_scan(found, rivals=(far,))).outcome == "found"
+    assert summarise(with_scan(found, rivals=(rival_of(found, 50.0),))).outcome == "found"
 
 
 @pytest.mark.parametrize(("lead", "named"), [(2.0, False), (-2.0, False), (5.0, True), (-40.0, True)])
 def test_a_name_that_its_rival_equals_is_no_name(found: Finding, lead: float, named: bool) -> None:
     [a] = found.effects
-    rival = Rival(
-        name="range_scale",
-        instead_of=a.name,
-        evidence_nats=(a.evidence or 0) - lead,
-        separates="near and far",
-    )
-    result = without_close_calls(replace(found.channels["scan"], rivals=(rival,)))
+    result = without_close_calls(replace(found.channels["scan"], rivals=(rival_of(found, lead),)))
     one = replace(found, channels={**found.channels, "scan": result})
     report = to_dict(one)
     assert [e["name"] for e in report["effects"]] == ([a.name] if named else [])
@@ -364,22 +227,8 @@ def test_a_name_that_its_rival_equals_is_no_name(found: Finding, lead: float, na
     if not named:
         assert summarise(one).headline.startswith("Undecided between range bias")
         also = replace(result, effects=(EFFECTS["range_scale"](s=0.01),), undecided=())
-        assert (
-            without_close_calls(replace(also, effects=(*also.effects, a))).undecided == ()
-        )  # both are there
-
-
-def test_skipped_channels_and_missing_parts_leave_a_report(silent: Finding, tmp_path: Path) -> None:
-    skipped = {
-        name: ChannelResult(channel=name, skipped=f"no {name}") for name in ("scan", "odometry", "drive")
-    }
-    bare = replace(silent, channels=skipped, explained=None, goodness_of_fit=None, next_run=None)
-    files = save_report(bare, tmp_path)
-    assert {path.name for path in files} == {"report.json", "report.html", "effects.yaml"}
-    html = (tmp_path / "report.html").read_text()
-    assert "Nothing could be compared." in html
-    assert "no drive" in html
-    assert json.loads((tmp_path / "report.json").read_text())["gap"] is None
+        both = replace(also, effects=(*also.effects, a))
+        assert without_close_calls(both).undecided == ()
 
 
 def test_the_next_run_is_shown_where_one_is_planned(found: Finding, tmp_path: Path) -> None:
@@ -428,9 +277,8 @@ def test_a_diagnosis_prints_its_headline_and_saves_its_report(
     assert first.startswith("Diagnosis: Found: range bias")
     table = ElementTree.fromstring(diagnosis._repr_html_())
     assert (table.findtext("caption") or "").startswith("Found: range bias")
-    assert [row.findtext("th") for row in table.findall("tbody/tr")] == [
-        a.effect.title for a in diagnosis.effects
-    ]
+    titles = [row.findtext("th") for row in table.findall("tbody/tr")]
+    assert titles == [a.effect.title for a in diagnosis.effects]
     assert effects[0].strip().startswith("range_bias(b=0.03")
     written = json.loads((diagnosis.save(tmp_path / "out") / "report.json").read_text())
     assert written["effects"] == json.loads(json.dumps(diagnosis.to_dict()["effects"]))
