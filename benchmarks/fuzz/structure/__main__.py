@@ -76,23 +76,22 @@ def main() -> int:
     )
     parser.add_argument("--logs", type=Path, help="only write the logs, into this folder")
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--cache", type=Path, default=drives.CACHE, help="folder of the recorded drives")
     given = parser.parse_args()
     names = [
         name for name in KINDS if not given.only or any(fnmatchcase(name, p) for p in given.only.split(","))
     ]
     jobs = list(jobs_of(names, given.n)) if given.number is None else [(name, given.number) for name in names]
     for name in drives.NAMES:
-        drives.load(name, given.cache)
+        drives.load(name)
     if given.logs is not None:
         for name, number in jobs:
-            print(write(draft_of(name, number, given.seed, given.cache), given.logs / f"{name}-{number}"))
+            print(write(draft_of(name, number, given.seed), given.logs / f"{name}-{number}"))
         return 0
     before = {(row["kind"], row["seed"]): Outcome(**row) for row in kept(given.keep)}
     results = [before[job] for job in jobs if job in before]
     jobs = [job for job in jobs if job not in before]
     began = time.monotonic()
-    work = partial(case, seed=given.seed, cache=given.cache)
+    work = partial(case, seed=given.seed)
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         for one in pool.map(work, jobs) if given.processes > 1 else map(work, jobs):
             results.append(one)

@@ -16,14 +16,14 @@ from benchmarks.fuzz.structure.start import Start
 from benchmarks.fuzz.structure.writers import write
 
 
-def draft_of(name: str, number: int, seed: int, cache: Path) -> Draft:
+def draft_of(name: str, number: int, seed: int) -> Draft:
     """Make one log of a kind."""
-    return KINDS[name](Start(np.random.default_rng([seed, number, zlib.crc32(name.encode())]), cache=cache))
+    return KINDS[name](Start(np.random.default_rng([seed, number, zlib.crc32(name.encode())])))
 
 
-def case(job: tuple[str, int], seed: int, cache: Path) -> Outcome:
+def case(job: tuple[str, int], seed: int) -> Outcome:
     """Make, write, read and judge one log of a kind; for a pool of processes."""
-    draft = draft_of(*job, seed, cache)
+    draft = draft_of(*job, seed)
     in_memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=in_memory if in_memory.is_dir() else None) as base:
         return look(draft, write(draft, Path(base) / "log"), *job)

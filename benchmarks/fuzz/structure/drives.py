@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -68,11 +69,12 @@ class Drive:
         return len(self.flashes)
 
 
-def load(name: str, cache: Path = CACHE) -> Drive:
+@cache
+def load(name: str) -> Drive:
     """Return a drive of `NAMES`; record it on first use."""
-    path = cache / f"{name}-{VERSION}.npz"
+    path = CACHE / f"{name}-{VERSION}.npz"
     if not path.exists():
-        cache.mkdir(parents=True, exist_ok=True)
+        CACHE.mkdir(parents=True, exist_ok=True)
         made = record(name)
         columns = {f.name: getattr(made, f.name) for f in fields(Drive) if f.name != "turns"}
         part = path.with_suffix(f".{np.random.default_rng().integers(2**32)}.npz")

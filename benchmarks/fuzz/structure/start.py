@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from inspect import signature
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,19 +23,11 @@ LASERS = (
 """A spinning laser, a coarse one, one of 240°, and two that measure all rays at once."""
 
 
-@cache
-def drive_of(name: str, cache_folder: Path) -> drives.Drive:
-    """Return a drive, kept in memory."""
-    return drives.load(name, cache_folder)
-
-
 @dataclass
 class Start:
     """Draws of one log."""
 
     rng: np.random.Generator
-    cache: Path = drives.CACHE
-    rooms: tuple[str, ...] = drives.ROOMS
 
     def chance(self, share: float = 0.5) -> bool:
         """Draw a yes or no."""
@@ -62,7 +52,7 @@ class Start:
         """
         suitable = [one for one in LASERS if spins is None or (one.sweep != 0) == spins]
         laser = replace(laser or self.pick(suitable), **changes)
-        draft = base_draft(drive_of(drive or self.pick(self.rooms), self.cache), self.rng, laser)
+        draft = base_draft(drives.load(drive or self.pick(drives.ROOMS)), self.rng, laser)
         draft.container = self.pick(PLAIN)
         if self.chance(reference):
             add_reference(draft)
