@@ -1,6 +1,6 @@
 """The planned next run against random runs of the same length: evidence between rivals, measured on simulated data.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.next_run [--seed 1] [--random 8] [--minutes 2] [--pairs NAME,...]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.next_run [--seed 1] [--random 8] [--minutes 2] [--size 1]
 
 For every pair the first model is true. A first random run is simulated and the wrong model fitted to it; from those
 two fits the next run is planned. Two minutes of any drive tell most pairs of effects at twice their materiality
