@@ -1,6 +1,6 @@
 """Settings of the model `narmax`: every tuned number of `models/narmax` with unit and meaning.
 
-The defaults were set on the shipped arenas, by the output of `python -m benchmarks.lagged_rays`.
+The defaults were set on the shipped arenas, by the scores of `sensorgraph evaluate` (docs: how-to/lagged-rays).
 """
 
 from __future__ import annotations
