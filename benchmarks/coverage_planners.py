@@ -4,8 +4,9 @@
     python -m benchmarks.coverage_planners --arena --random 10 --planner coverage   # ten random offices
     python -m benchmarks.coverage_planners --drive dubins --arena square
     python -m benchmarks.coverage_planners --race square office -o docs/pages/pictures/coverage_by_time.png
+    python -m benchmarks.coverage_planners --large 42 30       # one floor of 42 x 42 m with 30 rooms: some minutes
 
-The random offices are those of `benchmarks/offices.py`, made by code of their own: seeds 1001 on, on which
+The random offices and the large floor are those of `benchmarks/offices.py`, made by code of their own: seeds 1001 on, on which
 nothing was tuned. `s/10k` is the time to plan 10,000 bins, `cpu` the processor time in
 it, which another load on the machine changes less; compiling is left out of both.
 """
@@ -18,9 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arguments import parser_of
+from benchmarks.measures import peak_memory, timed
+from benchmarks.offices import office
 from benchmarks.places import arena_named, vehicle
 from planners import PlanError, plan
 from planners.arena import Arena
+from planners.maps import geojson
 from planners.types import Floats
 from planners.vehicle import Drive
 from sensorgraph.loading import load_arena
@@ -39,11 +43,15 @@ def main() -> None:
     parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
     parser.add_argument("--random", type=int, default=0, help="count of random offices")
     parser.add_argument("--race", nargs="+", help="draw coverage against driving time in these arenas")
+    parser.add_argument("--large", nargs=2, type=int, metavar=("SIDE", "ROOMS"), help="plan one large floor")
     parser.add_argument("-o", "--out", type=Path, default=Path("race.png"))
     options = parser.parse_args()
     warm_up(options.drive)
     if options.race:
         race({name: load_arena(name) for name in options.race}, options.out)
+        return
+    if options.large:
+        large(*options.large)
         return
     arenas = {name: load_arena(name) for name in options.arena}
     seeds = range(FIRST_SEED, FIRST_SEED + options.random)
@@ -86,6 +94,23 @@ def summary(planner: str, rows: np.ndarray) -> None:
         f"{len(rows)} random offices, {planner}: T/Tref {ratio.mean():.3f} mean, {ratio.max():.3f} worst; "
         f"coverage {100 * cover.min():.3f} % at least, core {core.mean():.3f} mean, {core.min():.3f} least; "
         f"s/10k {wall.mean():.1f} mean, cpu {cpu.mean():.1f}; {violations.sum():.0f} violations"
+    )
+
+
+def large(side: int, rooms: int) -> None:
+    """Plan a random office of side x side [m]; print how long it takes, and the most memory it needs."""
+    arena = geojson.loads(office(0, width=side, depth=side, rooms=rooms))
+    with timed() as took:
+        report = plan(arena, vehicle("diff"), cell=0.25, headings=16).report
+    bins, joins = report["reachable_cells"], report["joins"]
+    print(
+        f"{bins:,} bins in {report['reachable_positions']:,} cells: cover {100 * report['coverage']:.3f} %, "
+        f"T/Tref {report['ratio']:.3f}, {report['drive_time_s'] / 3600:.1f} h, {report['path_m'] / 1000:.1f} km, "
+        f"{report['limit_violations']} violations, clearance {report['min_clearance_m']:.3f} m; "
+        f"joins {joins['direct']} direct, {joins['planned']} planned, {joins['failed']} failed; "
+        f"planned in {took.wall:.0f} s ({took.cpu:.0f} s of processor, "
+        f"{1e4 * report['planning_s'] / bins:.1f} s per 10,000 bins); "
+        f"most memory {peak_memory(with_children=True) / 1024:.2f} GiB"
     )
 
 

@@ -44,7 +44,7 @@ class TourSettings:
     """Effort spent on the order of lanes.
 
     Set with `python -m benchmarks.coverage_planners --planner stop_and_spin` and
-    `python -m benchmarks.large_floor`.
+    `python -m benchmarks.coverage_planners --large 50 36`.
     """
 
     kicks: int = 60

@@ -20,7 +20,7 @@ class JoinSettings:
     """Maximum number of goals per query; the nearest ones are used."""
     leg_length: float = 4.0
     """[m] Length of the legs in which a path is searched that OMPL does not find as a whole
-    (`python -m benchmarks.large_floor --side 42 --rooms 30`)."""
+    (`python -m benchmarks.coverage_planners --large 42 30`)."""
     queries_per_process: int = 48
     """Number of queries per process; fixed, so that results do not depend on the number of processors."""
     certify_step: float = 0.004

@@ -116,7 +116,7 @@ PRIMITIVES = PrimitiveSettings()
 class KernelSettings:
     """Constants compiled into the kernels; no plan of the benchmarks reaches the limits of work.
 
-    See `python -m benchmarks.coverage_planners` and `python -m benchmarks.large_floor`.
+    See `python -m benchmarks.coverage_planners`, without options and with `--large 50 36`.
     """
 
     samples: int = 8
