@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,10 @@ from localization_samples import loop_poses, room_run, seen
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.bearing_scale import identify_bearing_scale
 from sensorgraph.localization.locate import locate, located_run
+from sensorgraph.localization.turning_pieces import TimeEstimate
+from sensorgraph.types import Floats
 
 TRUTH = loop_poses(200)
 FOV = np.radians(270.0)
@@ -85,3 +89,17 @@ def test_a_sweep_that_the_log_does_not_state_leaves_the_bearings() -> None:
     odometry[:, 2] = np.unwrap(odometry[:, 2])
     swept = replace(run, ranges=np.concatenate(columns, axis=1) + noise, odometry=odometry)
     assert not any("step of the bearings" in note for note in locate(swept).notes)
+
+
+def test_a_view_that_shows_any_step_leaves_the_bearings() -> None:
+    """In a narrow view one step of the estimate may turn the order of the rays round."""
+    sensor = front().sensor
+
+    class Anything:
+        def estimate(self, basis: Floats, bearings: Floats) -> TimeEstimate:
+            k = basis.shape[1] + bearings.shape[1]
+            return TimeEstimate(change=np.full(k, -1.2), covariance=np.eye(k), information=np.eye(k))
+
+    start: Any = Anything()
+    motion: Any = None
+    assert identify_bearing_scale(sensor, start, start, motion, None, 1.0) is None

@@ -20,6 +20,8 @@ from sensorgraph.types import Floats
 
 LEAST = 0.005
 """Minimum relative error of the step that is corrected: 0.7° at either end of a view of 270°."""
+MOST = 0.3
+"""Maximum relative error that is sought; a narrow view may show any."""
 MAX_STEPS = 20
 """Maximum number of Gauss-Newton steps."""
 SPAN = 10
@@ -75,9 +77,9 @@ def identify_bearing_scale(
     for step in range(MAX_STEPS):
         found = equations.estimate(basis, bearings[:, None])
         change, variance = float(found.change[-1]), float(found.covariance[-1, -1])
-        if step == 0 and abs(change) < 0.5 * LEAST:  # it finds half, or more
-            return None
         scale, times = scale + change, times + found.change[:-1]
+        if (step == 0 and abs(change) < 0.5 * LEAST) or abs(scale - 1.0) > MOST:  # a step finds half, or more
+            return None
         if abs(change) < 0.1 * LEAST:
             break
         scaled = replace(sensor, bearings=sensor.bearings.mean() + scale * bearings)
