@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbag_samples import Message, odometry, pose, read, scan, transform, write_bag2
+from rosbag_samples import Message, message, odometry, pose, read, scan, transform, write_bag2
 
 import logs
 from logs import stream
 from logs.inspection import inspect
 from logs.notes import assumptions_of
+from logs.ros.recording import ODOMETRY_TYPE, TF_TYPE
 from logs.ros.transform_tree import TransformTree
 from logs.transforms import compose, invert, to_translation_quaternion
 from sensorgraph.cli import run as cli
@@ -304,3 +305,39 @@ def test_a_laser_that_pans_on_the_robot_is_refused_and_one_that_trembles_is_not(
         return
     with pytest.raises(SensorgraphError, match=r"pan\.bag: .*moves on the robot by up to 0\.00 m and \d\d°"):
         check_ranges(run, "pan.bag")
+
+
+@pytest.mark.parametrize("yaw", [0.0, np.pi / 2, np.pi])
+def test_odometry_of_a_camera_is_converted_to_that_of_the_base(yaw: float, tmp_path: Path) -> None:
+    """A camera 0.3 m behind the base, looking elsewhere: where the base turns by φ, it moves on a circle about the base."""
+    camera = np.array([-0.3, 0.1, yaw])
+    seen = compose(PATH, np.broadcast_to(camera, PATH.shape))  # the camera in a frame of the world
+    bag = [
+        message("/odom", ODOMETRY_TYPE, t, {"frame_id": "odom", "child_frame_id": "camera"},
+                pose=to_translation_quaternion(row[None])[0], twist=[0.5, 0, 0, 0, 0, 0.2])
+        for t, row in zip(T, seen, strict=True)
+    ]  # fmt: skip
+    on_base = transform(0, "base_link", "camera", *camera, static=True)
+    run = read(tmp_path, in_order([MOUNT, on_base], scans(), bag))
+    np.testing.assert_allclose(run.odometry[:, :2], PATH[:, :2], atol=1e-6)
+    np.testing.assert_allclose(np.exp(1j * run.odometry[:, 2]), np.exp(1j * PATH[:, 2]), atol=1e-6)
+    np.testing.assert_allclose(run.odom_twists[1:-1], [[0.5, 0.2]] * 38, atol=0.01)  # m/s, rad/s of PATH
+    assert "/odom is the odometry of camera" in run.meta["notes"]
+    (tmp_path / "unknown").mkdir()
+    unknown = read(
+        tmp_path / "unknown", in_order([MOUNT], scans(), bag)
+    )  # nothing states where the camera is
+    np.testing.assert_allclose(unknown.odometry[:, :2], seen[:, :2], atol=1e-6)
+
+
+def test_scans_in_an_optical_frame_look_ahead(tmp_path: Path) -> None:
+    """REP 103: x of an optical frame points to the right of the camera, y down and z ahead."""
+    optical = message(
+        "/tf_static", TF_TYPE, 0.0, {"0.frame_id": "camera", "0.child_frame_id": "camera_depth_optical_frame"}, parts=1,
+        **{"0__transform": [0.0, 0.0, 0.0, -0.5, 0.5, -0.5, 0.5]},
+    )  # fmt: skip
+    camera = transform(0, "base_link", "camera", 0.2, 0.1, 0.7, z=0.4, static=True)
+    run = read(tmp_path, in_order([camera, optical], scans(frame="camera_depth_optical_frame")))
+    np.testing.assert_allclose(run.sensor.mount, [0.2, 0.1, 0.7], atol=1e-6)
+    np.testing.assert_allclose(run.ranges[0], [1, 2, 3])
+    assert "optical frame" in run.meta["notes"] and "tilted" not in run.meta["notes"]

@@ -15,9 +15,9 @@ from logs.ros import own_record
 from logs.ros.composite import combine, join_restarted
 from logs.ros.laser_messages import as_laser_scans
 from logs.ros.laser_scan import LaserScans, ShapeCensus, order_rays, read_scans
+from logs.ros.mounts import mount_in_tree
 from logs.ros.poses import (
     BASE_FRAMES,
-    FLOOR_FRAME,
     RobotFrames,
     RobotMotion,
     base_of,
@@ -47,8 +47,8 @@ from logs.sensor import median_step
 from logs.transforms import Stamps
 from logs.types import Floats, Mounts
 
-MIN_UPRIGHT_COSINE, MAX_LISTED = 0.98, 4
-"""Cosine of the maximum tilt (11°) of a level laser, and the number of unused sensors that a note lists."""
+MAX_LISTED = 4
+"""Number of unused sensors that a note lists."""
 
 
 def to_run(
@@ -233,7 +233,7 @@ def _mounted(
             base is not None and tree.place(base, part.frame) is not None
         )
         mount, height, upside_down = (
-            (known, 0.0, False) if known is not None and not is_in_tree else _mount(tree, base, part)
+            (known, 0.0, False) if known is not None and not is_in_tree else mount_in_tree(tree, base, part)
         )
         if known is None and not is_in_tree:
             lost.append(" in ".join(filter(None, title)))
@@ -288,27 +288,6 @@ def _unknown_mounts_text(
         f"the mounts of {', '.join(lost)} are unknown; record /tf_static, give a robot.yaml that lists "
         "them under `sensors` (`robot`), or select one with `topics` scan=NAME"
     )
-
-
-def _mount(tree: TransformTree, base: str | None, scans: LaserScans) -> tuple[Floats, float, bool]:
-    """Return the mount (3,) in base_link, the height [m] above the floor if known, and whether it is upside down."""
-    if scans.frame in (*BASE_FRAMES, base):
-        return np.zeros(3), 0.0, False
-    place = tree.place(base, scans.frame) if base is not None else None
-    if place is None:
-        scans.notes.append(
-            f"no transform base_link -> {scans.frame or 'laser'}: the mount of robot.yaml is used if given, otherwise 0"
-        )
-        return np.zeros(3), 0.0, False
-    if abs(place.up) < MIN_UPRIGHT_COSINE:
-        scans.notes.append(
-            f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, but assumed to be level"
-        )
-    if not place.is_static and place.moves:
-        scans.notes.append(place.moving_text)
-    floor = tree.in_namespace_of(scans.frame, FLOOR_FRAME)
-    above_floor = tree.place(floor, scans.frame) or place
-    return place.poses[0], above_floor.height, place.up < 0
 
 
 def _overlapping(motion: RobotMotion, scans: Stamps) -> tuple[RobotMotion, list[str]]:

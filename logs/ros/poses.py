@@ -26,7 +26,7 @@ from logs.ros.recording import (
 )
 from logs.ros.transform_tree import TransformTree
 from logs.run import PoseFrame
-from logs.transforms import are_oriented, dead_reckoning, to_planar, twists_of
+from logs.transforms import are_oriented, compose, dead_reckoning, invert, to_planar, twists_of
 from logs.types import Bools, Floats
 
 FLOOR_FRAME = "base_footprint"
@@ -37,6 +37,8 @@ MIN_JUMP, MIN_JUMPS = 0.02, 0.02
 """[m] smallest step that counts as a jump of the odometry, and the share of such steps that is reported."""
 MIN_DRIVEN = 0.1
 """[m, rad] Motion by the twists of odometry above which its constant pose was not filled in."""
+MIN_LEVEL = 0.98
+"""Cosine of the maximum tilt (11°) of a frame whose odometry is planar."""
 FIXED_FRAMES = (*MAP_FRAMES, ODOM_FRAME)
 """Words in the names of stationary frames; poses in other frames may not refer to the map."""
 
@@ -178,7 +180,8 @@ def find_motion(
             notes.append(f"several topics could be odom, none was used: {choices(recording, 'odom')}")
     if odom is not None:
         odom, more = _of_one_publisher(odom_name or "", odom)
-        notes += more
+        odom, said = _at_base(odom_name or "", odom, robot)
+        notes += [*more, *said]
     name, is_named = choose(recording, "pose", topics, robot.topic), (topics or {}).get("pose") is not None
     is_tf = name is not None and recording.topics[name].type == TF_TYPE
     found: tuple[Track, PoseFrame, str] | None = None
@@ -227,6 +230,25 @@ def _of_one_publisher(name: str, odom: Track) -> tuple[Track, list[str]]:
     n = len(index), len(times) - len(index)
     what = f"two publishers, whose {n[0]} and {n[1]} poses alternate: those of the first were used"
     return replace(odom, stamps=odom.stamps[index], values=values), [f"{jumping}: {what}"]
+
+
+def _at_base(name: str, odom: Track, robot: RobotFrames) -> tuple[Track, list[str]]:
+    """Return odometry of another frame of the robot, such as that of a camera, as odometry of the base; also return notes.
+
+    T_odom_base = T_odom_child T_child_base, with the static transform of the log. A child that is not level is left as it is.
+    """
+    tree, base, child = robot.tree, robot.base, odom.child
+    chain = tree.path(base, child) if base is not None and len(odom.stamps) else None
+    place = tree.place(base or "", child) if chain and all(edge.is_constant for edge, _ in chain) else None
+    if place is None or place.up < MIN_LEVEL or not place.poses[0].any():
+        return odom, []
+    mount = place.poses[0]
+    values = odom.values.copy()
+    values[:, :3] = compose(values[:, :3], np.broadcast_to(invert(mount), (len(values), 3)))
+    values[:, 3:] = twists_of((odom.stamps - odom.stamps[0]) / 1e9, values[:, :3])
+    where = f"({mount[0]:.2f} m, {mount[1]:.2f} m, {np.degrees(mount[2]):.0f}°)"
+    note = f"{name} is the odometry of {child}, at {where} in {base}: converted to that of {base}"
+    return replace(odom, values=values, child=base or ""), [note]
 
 
 def _tf_odometry(robot: RobotFrames, named: str | None) -> tuple[Track | None, str | None]:

@@ -229,9 +229,34 @@ def late_transforms(start: Start, draft: Draft) -> None:
         item.stamp = item.log = item.arrival = late
 
 
+@of(reference=0.0)
+def odometry_of_camera(start: Start, draft: Draft) -> None:
+    """The odometry is that of a camera, which looks elsewhere and turns about the base."""
+    camera = np.array([start.pick((-0.25, 0.3)), 0.1, start.pick((0.0, np.pi / 2, np.pi))])
+    seen = compose(compose(inverse(camera), draft.drive.odometry), camera)
+    draft.drop("/tf")
+    for item, pose in zip(draft.on("/odom"), seen, strict=True):
+        item.content = item.content | {"pose": vec7(*pose), "child": "camera_link", "twist": np.zeros(6)}
+    draft.add_static(("base_link", "camera_link", vec7(*camera, z=0.4)))
+
+
+def optical_frame(start: Start) -> Draft:
+    """Scans of a depth camera in its optical frame, whose z axis looks ahead."""
+    draft = start.draft(replace(LASERS[4], first=-60, n=121), reference=0.0)
+    mount = vec7(*mount_of(draft.laser), z=0.3)
+    draft.drop("/tf_static")
+    draft.frames(lambda name: "camera_optical" if name == "laser" else name)
+    draft.add_static(
+        ("base_link", "camera", mount),
+        ("camera", "camera_optical", np.array([0, 0, 0, -0.5, 0.5, -0.5, 0.5])),
+    )
+    return draft
+
+
 FRAMES = named(
     prefixed, leading_slash, other_names, no_mount, no_mount_turned, no_frame, frame_is_base,
     inverted_mount, inverted_odometry, map_below_odom, footprint_root, long_chain, static_in_tf,
     static_repeated, several_in_one, upside_down, backwards, any_yaw, tilted_little, high_mount,
     two_parents, two_trees, world_above_map, no_child, frame_changes, rounded_quaternion, late_transforms,
+    odometry_of_camera, optical_frame,
 )  # fmt: skip
