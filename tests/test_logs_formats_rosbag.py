@@ -364,3 +364,12 @@ def test_mcap_that_holds_ros_1_messages_is_read_too(tmp_path: Path) -> None:
     run = logs.read(tmp_path / "old.mcap")
     np.testing.assert_array_equal(run.ranges, [[1, 2, 3], [1, 2, 4], [1, 2, 5], [1, 2, 6]])
     np.testing.assert_allclose(run.stamps, [0, 0.1, 0.2, 0.3], atol=1e-9)
+
+
+def test_the_first_scan_may_state_other_times_than_the_rest(tmp_path: Path) -> None:
+    """As of a driver that measures the duration of a scan, while its motor starts."""
+    first = scan(0.0, [1, 2, 3], time_increment=0.27, scan_time=0.8, range_max=0.0)
+    rest = [scan(t, [1, 2, 3], time_increment=0.03, scan_time=0.09) for t in np.arange(1, 12) / 10]
+    run = read(tmp_path, [first, *rest])
+    assert run.sensor.sweep_time == pytest.approx(0.09) and run.sensor.range_max == 10.0
+    assert "notes" not in run.meta or "time_increment" not in run.meta["notes"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -100,9 +101,17 @@ class _Group:
     index: list[np.ndarray]
     ranges: list[Floats]
     intensities: list[Floats]
-    limits: Floats
-    """(7,) angle, time and range fields of the first message."""
+    stated: list[Floats]
+    """(n, 7) angle, time and range fields of the messages."""
     frame: str
+
+    @cached_property
+    def limits(self) -> Floats:
+        """(7,) Their medians: a driver that measures its times states others while its motor starts."""
+        stated = np.concatenate(self.stated)
+        return np.concatenate(
+            [stated[0, :3], np.sort(stated[:, 3:], axis=0)[len(stated) // 2]]
+        )  # nan is last
 
     def bearings(self) -> Floats:
         """Return the bearings (n_rays,) [rad]."""
@@ -162,8 +171,9 @@ def read_scans(
                 continue
             shape = ScanShape(n_rays, float(limits[i, 0]), float(limits[i, 2])).rounded()
             groups = frames.setdefault(frame, {})
-            group = groups.setdefault(shape, _Group([], [], [], limits[i], frame))
+            group = groups.setdefault(shape, _Group([], [], [], [], frame))
             group.index.append(block.index[mine])
+            group.stated.append(limits[mine])
             group.ranges.append(block["ranges"][mine].astype(np.float64))
             group.intensities.append(_intensities(block, mine))
     if n_lost and not frames:

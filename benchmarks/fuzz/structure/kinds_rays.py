@@ -193,8 +193,18 @@ def older_part(start: Start, draft: Draft) -> None:
         scans[k].content = scans[k].content | {"ranges": new}
 
 
+@of(reference=0.0, spins=True)
+def first_times(start: Start, draft: Draft) -> None:
+    """The first scan states the times of a motor that starts."""
+    factor = start.pick((8.0, 0.05, -1.0))
+    for name in ("time_increment", "scan_time"):
+        draft.scans[0].content[name] *= factor
+    if start.chance():
+        draft.drop_odometry()
+
+
 RAYS = named(
     clockwise, reversed_array, reversed_increment, silent, wrong_sign, invented_increment, too_long,
     too_short, stamp_at_end, zero_to_turn, any_start, repeated_end, overlapping, turning_start,
-    uneven_ends, mirrored, older_part,
+    uneven_ends, mirrored, older_part, first_times,
 )  # fmt: skip
