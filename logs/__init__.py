@@ -11,7 +11,7 @@ The package depends on no planner and no model. Heavy libraries are imported whe
 * `formats/`: One module per file format.
 * `mcap/`: MCAP records, each one validated.
 * `ros/`: ROS messages, that is byte layout, topics and their roles, and transforms.
-* `signals`, `clocks`, `no_return`, `resampling`, `jumps`, `publishers`, `repeated_scans`: Correct or detect the quirks of drivers and clocks.
+* `signals`, `clocks`, `no_return`, `resampling`, `jumps`, `publishers`, `odometry_faults`, `repeated_scans`: Correct or detect the quirks of drivers and clocks.
 * `notes`, `run_warnings`: The assumptions and corrections of a reader, and values that look wrong.
 * `motion`: The pose of the robot at any time, and the pose at which each ray of a sweep is taken.
 * `transforms`: Planar poses.

@@ -9,6 +9,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.jumps import JUMP_LIMITS
+from logs.odometry_faults import measured_poses, wrong_poses
 from logs.publishers import of_one_publisher
 from logs.ros.messages import planar_covariances
 from logs.ros.recording import (
@@ -27,7 +28,7 @@ from logs.ros.recording import (
 from logs.ros.transform_tree import TransformTree
 from logs.run import PoseFrame
 from logs.transforms import are_oriented, compose, dead_reckoning, invert, to_planar, twists_of
-from logs.types import Bools, Floats
+from logs.types import Bools, Floats, Ints
 
 FLOOR_FRAME = "base_footprint"
 """Frame on the floor (REP 120); base_link may be anywhere on the robot, for example at the height of its axle."""
@@ -179,9 +180,11 @@ def find_motion(
         elif candidates(recording, "odom") and odom is None:
             notes.append(f"several topics could be odom, none was used: {choices(recording, 'odom')}")
     if odom is not None:
-        odom, more = _of_one_publisher(odom_name or "", odom)
-        odom, said = _at_base(odom_name or "", odom, robot)
-        notes += [*more, *said]
+        for change in (_measured, _whole, _of_one_publisher):
+            odom, more = change(odom_name or "", odom)
+            notes += more
+        odom, more = _at_base(odom_name or "", odom, robot)
+        notes += more
     name, is_named = choose(recording, "pose", topics, robot.topic), (topics or {}).get("pose") is not None
     is_tf = name is not None and recording.topics[name].type == TF_TYPE
     found: tuple[Track, PoseFrame, str] | None = None
@@ -224,12 +227,37 @@ def _of_one_publisher(name: str, odom: Track) -> tuple[Track, list[str]]:
     index = of_one_publisher(times, odom.values[:, :3])
     if index is None:
         return odom, [f"{jumping}: two publishers, or two clocks"]
-    values = odom.values[index]
-    if name.startswith("/tf "):  # its twists were derived from the poses of both
-        values[:, 3:] = twists_of(times[index], values[:, :3])
     n = len(index), len(times) - len(index)
     what = f"two publishers, whose {n[0]} and {n[1]} poses alternate: those of the first were used"
-    return replace(odom, stamps=odom.stamps[index], values=values), [f"{jumping}: {what}"]
+    return _selected(name, odom, index), [f"{jumping}: {what}"]
+
+
+def _selected(name: str, odom: Track, index: Ints) -> Track:
+    """Return some poses of the odometry; twists that were derived from all poses are derived again."""
+    values = odom.values[index]
+    if name.startswith("/tf "):
+        values[:, 3:] = twists_of((odom.stamps[index] - odom.stamps[0]) / 1e9, values[:, :3])
+    return replace(odom, stamps=odom.stamps[index], values=values)
+
+
+def _measured(name: str, odom: Track) -> tuple[Track, list[str]]:
+    """Return the odometry without poses that only repeat the one before, where most do, and a note."""
+    index = measured_poses((odom.stamps - odom.stamps[:1]) / 1e9, odom.values[:, :3])
+    if index is None:
+        return odom, []
+    note = f"{name} is published more often than it is measured: {len(odom.stamps) - len(index)} poses that repeat the one before"
+    return _selected(name, odom, index), [f"{note} were left out"]
+
+
+def _whole(name: str, odom: Track) -> tuple[Track, list[str]]:
+    """Return the odometry without single wrong poses, and a note."""
+    wrong = wrong_poses((odom.stamps - odom.stamps[:1]) / 1e9, odom.values[:, :3])
+    if not wrong.any():
+        return odom, []
+    note = (
+        f"{name}: {int(wrong.sum())} of {len(wrong)} poses contradict those before and after them: left out"
+    )
+    return _selected(name, odom, np.flatnonzero(~wrong)), [note]
 
 
 def _at_base(name: str, odom: Track, robot: RobotFrames) -> tuple[Track, list[str]]:

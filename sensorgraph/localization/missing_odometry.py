@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.jumps import find_jumps
+from logs.jumps import JUMP_LIMITS, find_jumps
 from logs.motion import Motion
+from logs.odometry_faults import jumps
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.front_end import track_part
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Bools, Floats, Ints
 
 MIN_MISSING = 0.3
 """[s] Shortest stretch between odometry poses that is filled; in shorter ones 1 m/s² moves the robot by a t²/8 = 1.1 cm
@@ -55,11 +56,32 @@ def without_jumps(motion: Motion) -> Motion:
 
     A scan whose sweep contains the jump is then deskewed by the motion of the robot.
     """
-    jumps = find_jumps(motion.stamps, motion.poses)
-    if jumps is None:
-        return motion
+    found = find_jumps(motion.stamps, motion.poses)
+    return motion if found is None else _joined(motion, found.after)
+
+
+def without_corrections(motion: Motion) -> tuple[Motion, tuple[str, ...]]:
+    """Return the motion with its parts joined at jumps too short to be another place, as of a filter that is corrected.
+
+    Also return a note. A longer jump may be another place, which only the scans can show.
+    """
+    before = jumps(motion.stamps, motion.poses)
+    steps = motion.poses[before + 1] - motion.poses[before]
+    ways, turns = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap(steps[:, 2]))
+    is_short = (ways < JUMP_LIMITS.distance) & (np.diff(motion.stamps)[before] < MIN_MISSING)
+    if not is_short.any():
+        return motion, ()
+    note = (
+        f"the odometry jumps {int(is_short.sum())} times, by up to {ways[is_short].max():.2f} m and "
+        f"{np.degrees(turns[is_short].max()):.0f}°, as of a filter that is corrected: joined at constant velocity"
+    )
+    return _joined(motion, before[is_short] + 1), (note,)
+
+
+def _joined(motion: Motion, after: Ints) -> Motion:
+    """Return the motion without jumps to some poses (m,): at constant velocity."""
     poses = motion.poses.copy()
-    for first, end in zip(jumps.after, [*jumps.after[1:], len(poses)], strict=True):
+    for first, end in zip(after, [*after[1:], len(poses)], strict=True):
         step = np.zeros(3)
         if first > 1 and motion.stamps[first - 1] > motion.stamps[first - 2]:
             share = np.diff(motion.stamps[first - 1 : first + 1]) / np.diff(motion.stamps[first - 2 : first])

@@ -24,6 +24,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.course import Steps, with_course
 from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.half_angle import heading_factor, heading_note, with_heading
+from sensorgraph.localization.missing_odometry import without_corrections
 from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_settings import CHECK, OdometryCheckSettings
@@ -54,8 +55,9 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     if motion is None or run.n_scans < 3:
         return run, ()
     s = settings
-    notes: list[str] = []
-    mended = _with_heading(run, motion, notes, s)
+    joined, said = without_corrections(motion)
+    notes = list(said)
+    mended = _with_heading(run, joined, notes, s)
     if mended is not motion:
         run, motion = _scaled(run, mended, 1.0, 1.0), mended
     odometry = odometry_at_scans(run, motion)

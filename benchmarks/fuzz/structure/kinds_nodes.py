@@ -192,6 +192,34 @@ def compass_heading(start: Start, draft: Draft) -> None:
     draft.said = "differs from its heading"
 
 
+@of(reference=0.0)
+def wrong_poses(start: Start, draft: Draft) -> None:
+    """Single messages of the odometry are wrong, as of a damaged byte or a register that is read as 0."""
+    odometry = draft.drive.odometry.copy()
+    off = start.pick((np.array([0.6, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), None))
+    for k in start.rng.choice(np.arange(20, len(odometry) - 20), 12, replace=False):
+        odometry[k] = 0.0 if off is None else odometry[k] + off
+    _state(draft, odometry)
+    draft.drop(start.pick(("/odom", "/tf")))
+
+
+@of(reference=0.0)
+def held_odometry(start: Start, draft: Draft) -> None:
+    """The odometry is published more often than the wheels are read."""
+    every, n = start.pick((5, 10)), len(draft.drive.odometry)
+    _state(draft, draft.drive.odometry[np.arange(n) // every * every])
+
+
+@of(reference=0.0)
+def corrected_odometry(start: Start, draft: Draft) -> None:
+    """A filter whose poses are corrected a few times."""
+    odometry = draft.drive.odometry.copy()
+    for at in start.rng.uniform(3, 19, 3):
+        late = draft.drive.odom_times > at
+        odometry[late] = compose(start.rng.uniform(-0.6, 0.6, 3), odometry[late])
+    _state(draft, odometry)
+
+
 def sideways(start: Start) -> Draft:
     """A robot that may drive anywhere: its base_link is at the laser, and looks elsewhere than it drives."""
     draft = start.draft(replace(LASERS[3], first=-180, n=360), reference=0.0)
@@ -252,5 +280,5 @@ NODES = named(
     two_publishers, drifting_publisher, publisher_of_zeros, transforms_of_two, odometry_starts_again,
     field_changes, order_changes, sent_again, stamped_in_bursts, sectors, mirrored_positions,
     twist_in_odometry, twist_in_degrees, compass_heading, sideways, parts_of_robot,
-    wrong_step,
+    wrong_step, wrong_poses, held_odometry, corrected_odometry,
 )  # fmt: skip

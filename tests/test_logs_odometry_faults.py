@@ -1,0 +1,97 @@
+"""Faults of odometry, planted in a drive on a circle: exactly the planted poses are found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbag_samples import odometry, read, scan, transform
+
+from logs.motion import Motion
+from logs.odometry_faults import jumps, measured_poses, wrong_poses
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.missing_odometry import without_corrections
+
+T = np.arange(0.0, 20.0, 0.02)
+PHI = 0.4 * T
+DRIVE = np.column_stack([1.5 * np.sin(PHI), 1.5 * (1 - np.cos(PHI)), wrap(PHI)])
+"""0.6 m/s on a circle of 1.5 m radius; the heading wraps."""
+
+
+@pytest.mark.parametrize("every", [1, 5])
+@pytest.mark.parametrize("length", [1, 2, 5])
+@pytest.mark.parametrize(
+    "off", [(0.3, 0.0, 0.0), (0.0, 0.0, 0.5), (0.0, 0.0, 3.0)], ids=["place", "heading", "turned"]
+)
+def test_a_few_poses_off_the_way_are_found(off: tuple[float, ...], length: int, every: int) -> None:
+    stamps, poses = T[::every], DRIVE[::every].copy()
+    planted = np.concatenate([first + np.arange(length) for first in (40, 90, 150)])
+    poses[planted] = compose(poses[planted], np.broadcast_to(np.array(off), (len(planted), 3)))
+    np.testing.assert_array_equal(np.flatnonzero(wrong_poses(stamps, poses)), planted)
+    assert len(jumps(stamps, DRIVE[::every])) == 0
+
+
+def test_poses_that_a_robot_can_have_are_left() -> None:
+    rng = np.random.default_rng(4)
+    noisy = DRIVE + rng.normal(scale=0.02, size=DRIVE.shape)
+    coarse = np.round(DRIVE / 0.05) * 0.05
+    stopped = np.where(T[:, None] < 10, DRIVE, DRIVE[500])  # against a wall, at once
+    unknown = DRIVE.copy()
+    unknown[300] = np.nan
+    for poses in (DRIVE, noisy, coarse, stopped, unknown):
+        assert not wrong_poses(T, poses).any()
+        assert len(jumps(T, poses)) == 0
+    assert not wrong_poses(T[:2], DRIVE[:2]).any() and len(jumps(T[:1], DRIVE[:1])) == 0
+
+
+@pytest.mark.parametrize("jump", [(0.3, -0.4, 0.0), (0.0, 0.0, 0.5)], ids=["place", "heading"])
+def test_a_filter_that_is_corrected_is_joined(jump: tuple[float, float, float]) -> None:
+    poses = DRIVE.copy()
+    for first in (300, 700):  # moved by the jump in the frame of the robot
+        moved = compose(compose(poses[first], np.array(jump)), invert(poses[first]))
+        poses[first:] = compose(np.broadcast_to(moved, poses[first:].shape), poses[first:])
+    assert not wrong_poses(T, poses).any()
+    np.testing.assert_array_equal(jumps(T, poses), [299, 699])
+    unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+    joined, notes = without_corrections(Motion(stamps=T, poses=unwrapped))
+    assert np.abs(joined.poses[:, :2] - DRIVE[:, :2]).max() < 1e-3  # an arc is joined by its chord
+    assert np.abs(wrap(joined.poses[:, 2] - DRIVE[:, 2])).max() < 1e-3
+    assert len(notes) == 1 and "jumps 2 times" in notes[0]
+
+
+def test_a_jump_that_may_be_another_place_stays() -> None:
+    poses = DRIVE + np.where(T[:, None] < 10, 0.0, [3.0, 0.0, 0.0])
+    motion = Motion(stamps=T, poses=np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+    joined, notes = without_corrections(motion)
+    assert joined is motion and notes == ()
+
+
+def test_odometry_that_repeats_its_poses_keeps_the_measured_ones() -> None:
+    held = DRIVE[np.arange(len(T)) // 10 * 10]
+    np.testing.assert_array_equal(measured_poses(T, held), np.arange(0, 1000, 10))
+    stands = held.copy()
+    stands[300:500] = stands[300]  # until the odometry, which is read every 0.2 s, moves on
+    index = measured_poses(T, stands)
+    assert (
+        index is not None and {300, 490, 500} <= set(index.tolist()) and not {310, 480} & set(index.tolist())
+    )
+    assert measured_poses(T, DRIVE) is None and measured_poses(T, np.zeros_like(DRIVE)) is None
+
+
+def test_a_log_is_read_without_wrong_and_repeated_poses(tmp_path: Path) -> None:
+    mount = transform(0.0, "base_link", "laser", 0.2, 0.0, 0.0, static=True)
+    scans = [scan(t, [1, 2, 3]) for t in T[::5]]
+    wrong = DRIVE[:500].copy()
+    wrong[[100, 200]] = 0.0
+    for name, poses, kept in (
+        ("wrong", wrong, np.delete(np.arange(500), [100, 200])),
+        ("held", DRIVE[np.arange(500) // 10 * 10], np.arange(0, 500, 10)),
+    ):
+        (tmp_path / name).mkdir()
+        wheels = [odometry(t, *pose) for t, pose in zip(T, poses, strict=False)]
+        run = read(tmp_path / name, [mount, *sorted([*scans, *wheels], key=lambda one: one[2])])
+        np.testing.assert_allclose(run.odom_stamps, T[kept], atol=1e-6)
+        np.testing.assert_allclose(run.odometry[:, :2], poses[kept, :2], atol=1e-6)
+        said = {"wrong": "2 of 500 poses contradict", "held": "450 poses that repeat the one before"}[name]
+        assert said in run.meta["notes"]
