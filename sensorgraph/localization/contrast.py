@@ -120,12 +120,16 @@ class Contrast:
             )
         return tuple(notes)
 
-    def _contradiction(self, stamps: Floats) -> str:
-        """Return the note on the longest stretch of contradictions."""
-        within = np.zeros(len(stamps), dtype=np.bool_)
+    def contradicted(self, n: int) -> Bools:
+        """Return which of n scans are within a motion that the odometry contradicts."""
+        within = np.zeros(n, dtype=np.bool_)
         for i, j in zip(self.first[self.is_contradiction], self.last[self.is_contradiction], strict=True):
             within[i : j + 1] = True
-        stretches = true_intervals(within)
+        return within
+
+    def _contradiction(self, stamps: Floats) -> str:
+        """Return the note on the longest stretch of contradictions."""
+        stretches = true_intervals(self.contradicted(len(stamps)))
         start, stop = max(stretches, key=lambda one: stamps[one[1] - 1] - stamps[one[0]])
         scans, odometry = self._driven(start, stop - 1)
         inside = (self.first >= start) & (self.last < stop)

@@ -10,6 +10,7 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.contradicted_motion import with_motion_of_scans
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.global_search import fit_at, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
@@ -57,7 +58,7 @@ def locate_in_map(
         if fit < settings.near_fit:
             raise SensorgraphError(_no_fit(run, place, fit, name, settings))
     with progress("following the scans", "scans") as tick:
-        followed = track_run(run, tick)
+        followed = with_motion_of_scans(track_run(run, tick), tick)
     odometry, scans, steps = followed.odometry, followed.scans, followed.track
     with progress(f"locating in {name}", "scans") as tick:
         found = MapTracker(scans, run.stamps, steps, place, settings).run(tick)

@@ -8,6 +8,7 @@ import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.contradicted_motion import with_motion_of_scans
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.covariances import key_frame_covariances
 from sensorgraph.localization.dead_reckoning import with_dead_reckoning
@@ -72,7 +73,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     if run.n_scans == 0:
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
     with progress("tracking", "scans") as bar:
-        followed = without_moving_returns(track_run(run, bar), bar)
+        followed = without_moving_returns(with_motion_of_scans(track_run(run, bar), bar), bar)
     odometry, scans, tracked = followed.odometry, followed.scans, followed.track
     if len(tracked.key_frames) == 0:
         return _without_returns(run, tracked)

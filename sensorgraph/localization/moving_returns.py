@@ -85,7 +85,7 @@ def without_moving_returns(
     dropped = np.zeros(len(whole.points), dtype=np.bool_)
     thinned = np.zeros(run.n_scans, dtype=np.bool_)
     for _ in range(settings.rounds):
-        wheels = _wheels(followed)
+        wheels = learned_wheels(followed)
         contrast = Contrast.of(run.stamps, followed.track.poses, odometry, usable, wheels)
         verdict = _judged(whole, contrast, settings)
         thin, useless = verdict.is_false & ~thinned, verdict.is_sure & thinned
@@ -138,7 +138,8 @@ def confirms_odometry(
     return bool(_judged(scans, contrast, settings).is_false.mean() > 0.5)
 
 
-def _wheels(followed: TrackedRun) -> WheelParameters:
+def learned_wheels(followed: TrackedRun) -> WheelParameters:
+    """Return the wheel parameters that the tracking of a run with odometry has learned."""
     learned = followed.track.wheels
     assert learned is not None
     return WheelParameters(
@@ -150,9 +151,7 @@ def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSetting
     """Judge each stretch in which the odometry contradicts the scans."""
     s, found = settings, OdometryVerdict.none(scans.n_scans)
     chosen = np.flatnonzero(contrast.is_contradiction)
-    within = np.zeros(scans.n_scans, dtype=np.bool_)
-    for i, j in zip(contrast.first[chosen], contrast.last[chosen], strict=True):
-        within[i : j + 1] = True
+    within = contrast.contradicted(scans.n_scans)
     least = min(s.min_supporting, s.min_share * len(scans.points) / scans.n_scans)
     for start, stop in true_intervals(within):
         own = chosen[(contrast.first[chosen] >= start) & (contrast.last[chosen] < stop)]

@@ -53,6 +53,20 @@ class ScanPoints:
         """Return the slice of the points of a scan."""
         return slice(int(self.first[scan]), int(self.first[scan + 1]))
 
+    def with_scans_of(self, other: ScanPoints, chosen: Bools) -> ScanPoints:
+        """Return the returns with those of another conversion of the same run for the chosen scans (n_scans,)."""
+        sources = [other if one else self for one in chosen]
+        parts = [(source, source.of(k)) for k, source in enumerate(sources)]
+        counts = [part.stop - part.start for _, part in parts]
+        return ScanPoints(
+            first=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp),
+            points=np.concatenate([source.points[part] for source, part in parts]),
+            normals=np.concatenate([source.normals[part] for source, part in parts]),
+            ranges=np.concatenate([source.ranges[part] for source, part in parts]),
+            starts=np.concatenate([source.starts[part] for source, part in parts]),
+            rays=np.concatenate([source.rays[part] for source, part in parts]),
+        )
+
     def without(self, dropped: Bools) -> ScanPoints:
         """Return the returns without some of the points (n_points,)."""
         kept = ~dropped

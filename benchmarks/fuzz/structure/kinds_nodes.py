@@ -220,6 +220,17 @@ def corrected_odometry(start: Start, draft: Draft) -> None:
     _state(draft, odometry)
 
 
+@of(reference=0.0)
+def frozen_odometry(start: Start, draft: Draft) -> None:
+    """The driver of the wheels hangs, and goes on where it was or where the robot is."""
+    odometry, at = draft.drive.odometry.copy(), float(start.rng.uniform(5, 14))
+    first, last = np.searchsorted(draft.drive.odom_times, [at, at + start.pick((1.0, 3.0))])
+    if start.chance():
+        odometry[last:] = compose(odometry[first], compose(inverse(odometry[last]), odometry[last:]))
+    odometry[first:last] = odometry[first]
+    _state(draft, odometry)
+
+
 def sideways(start: Start) -> Draft:
     """A robot that may drive anywhere: its base_link is at the laser, and looks elsewhere than it drives."""
     draft = start.draft(replace(LASERS[3], first=-180, n=360), reference=0.0)
@@ -280,5 +291,5 @@ NODES = named(
     two_publishers, drifting_publisher, publisher_of_zeros, transforms_of_two, odometry_starts_again,
     field_changes, order_changes, sent_again, stamped_in_bursts, sectors, mirrored_positions,
     twist_in_odometry, twist_in_degrees, compass_heading, sideways, parts_of_robot,
-    wrong_step, wrong_poses, held_odometry, corrected_odometry,
+    wrong_step, wrong_poses, held_odometry, corrected_odometry, frozen_odometry,
 )  # fmt: skip

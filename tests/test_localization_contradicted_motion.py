@@ -1,0 +1,54 @@
+"""Odometry that stands for a while as its driver hangs: the sweeps of the turning robot are deskewed by the scans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from localization_samples import looking_about, room_run, seen
+
+from logs.run import Run
+from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.contradicted_motion import with_motion_of_scans
+from sensorgraph.localization.locate import locate
+from sensorgraph.localization.ray_times import track_run
+from sensorgraph.types import Floats
+
+STAMPS, FINE, SWEEP = np.arange(0.0, 16.0, 0.1), np.arange(0.0, 16.2, 0.02), 0.1
+TRUTH = looking_about(STAMPS)
+HANGS = (5.0, 7.0)
+"""[s] meanwhile the robot turns by up to 1 rad/s, and so by up to 6° during a sweep."""
+
+
+def swept(odometry: Floats) -> Run:
+    """A laser whose rays are measured one after the other, each from where the robot is."""
+    run = room_run(TRUTH, rate=10.0)
+    n, bearings = run.sensor.n_rays, run.sensor.bearings
+    at = looking_about(STAMPS[:, None] + SWEEP * np.arange(n) / n)
+    at[..., 2] += bearings
+    ranges = seen(at.reshape(-1, 3), np.zeros(1)).reshape(len(STAMPS), n)
+    ranges += 0.005 * np.random.default_rng(1).normal(size=ranges.shape)
+    return replace(
+        run, sensor=replace(run.sensor, sweep_time=SWEEP), ranges=ranges,
+        odom_stamps=FINE, odometry=odometry, odom_twists=np.zeros((len(FINE), 2)),
+    )  # fmt: skip
+
+
+def test_a_sweep_is_located_where_the_odometry_stands_and_the_robot_turns() -> None:
+    driven = looking_about(FINE)
+    first, last = np.searchsorted(FINE, HANGS)
+    rest = compose(np.broadcast_to(invert(driven[last]), driven[last:].shape), driven[last:])
+    driven[last:] = compose(np.broadcast_to(driven[first], rest.shape), rest)  # it goes on where it hung
+    driven[first:last] = driven[first]
+    found = locate(swept(driven))
+    away = compose(invert(compose(TRUTH[0], invert(found.poses[0]))), TRUTH)
+    assert np.hypot(*(away - found.poses)[:, :2].T).max() < 0.03
+    assert (
+        np.abs(np.degrees(wrap(away[:, 2] - found.poses[:, 2]))).max() < 1.0
+    )  # it was 3°, half of the turn in a sweep
+    assert any("contradict each other from" in note for note in found.notes)
+
+
+def test_a_run_that_agrees_with_its_odometry_is_unchanged() -> None:
+    followed = track_run(swept(looking_about(FINE)), lambda done, total: None)
+    assert with_motion_of_scans(followed, lambda done, total: None) is followed
