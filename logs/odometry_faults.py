@@ -1,7 +1,8 @@
 """Poses of odometry that no robot can have: single wrong ones, jumps, and poses that are only repeated.
 
 Within a time T after a step of the duration tau, an acceleration a moves a robot by at most a T (T + tau) / 2 from where its
-velocity leads, and by at most a T² / 8 from the chord of its way. Poses farther away, by more than noise, are wrong.
+velocity leads, and by at most a T² / 8 from the chord of its way. Poses farther away, by more than noise, are wrong. Stamps scatter, so that only
+the direction of a velocity counts, and its size within a factor.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ class FaultLimits:
     """Maximum number of wrong poses in a row, as of a message that is damaged or a register that is read as 0."""
     significance: float = 10.0
     """Distance of a wrong pose, relative to the median distance of all poses, which is their noise."""
+    least: float = 0.1
+    """[m] Smallest jump, with turns as distances (6°); shorter ones are slip, or noise of the stamps."""
+    timing: float = 3.0
+    """Duration of a step, relative to that by its stamps, at most: stamps scatter where messages arrive late."""
     share: float = 0.1
     """Maximum share of wrong poses; more are noise, or another publisher."""
     repeats: int = 2
@@ -55,7 +60,7 @@ def wrong_poses(
     """
     known: Bools = np.asarray(np.isfinite(poses).all(axis=1))
     wrong = ~known
-    noise = 0.0
+    noise, usual = 0.0, _usual(stamps)
     for length in range(1, faults.length + 1):
         index = np.flatnonzero(~wrong)
         n = len(index) - length - 2
@@ -63,22 +68,21 @@ def wrong_poses(
             break
         t, p = stamps[index], poses[index]
         first = np.arange(1, n + 1)  # the last pose before those that may be wrong
-        whole, before = t[first + length + 1] - t[first], t[first] - t[first - 1]
-        chord, step = _steps(p[first], p[first + length + 1]), _steps(p[first - 1], p[first])
-        ahead = step * np.divide(whole, before, out=np.full(n, np.inf), where=before > 0)[:, None]
-        with np.errstate(invalid="ignore"):
-            most = robot.distance + robot.acceleration * whole * (whole + before) / 2
-            continues = _length(chord - ahead, robot) <= most
-        off = np.full(n, np.inf)
-        for k in range(1, length + 1):
-            share = np.divide(t[first + k] - t[first], whole, out=np.zeros(n), where=whole > 0)
-            off = np.minimum(off, _length(_steps(p[first], p[first + k]) - share[:, None] * chord, robot))
-        noise = noise or float(np.median(off))
-        away = off > np.maximum(
-            robot.distance + robot.acceleration * whole**2 / 8, faults.significance * noise
+        whole = np.maximum(t[first + length + 1] - t[first], (length + 1) * usual)
+        before = np.maximum(t[first] - t[first - 1], usual)
+        chord, step = (
+            _steps(p[a], p[b], robot) for a, b in ((first, first + length + 1), (first - 1, first))
         )
-        for k in range(1, length + 1):
-            wrong[index[first[continues & away] + k]] = True
+        most = robot.distance + robot.acceleration * whole * (whole + before) / 2
+        continues = _off(chord, step, np.full(n, faults.timing * (length + 1))) <= most
+        off = np.min(
+            [_off(_steps(p[first], p[first + k], robot), chord, np.ones(n)) for k in range(1, length + 1)],
+            axis=0,
+        )
+        noise = noise or float(np.median(off))
+        most = robot.distance + robot.acceleration * whole**2 / 8
+        found = first[continues & (off > np.maximum(most, faults.significance * noise))]
+        wrong[index[found[:, None] + np.arange(1, length + 1)]] = True
     wrong = wrong & known
     return wrong if wrong.sum() <= faults.share * known.sum() else np.zeros_like(wrong)
 
@@ -91,24 +95,29 @@ def jumps(
 ) -> Ints:
     """Return the indices (m,) of the poses before jumps, which neither the velocity before nor the one after explains.
 
+    Equal poses are one, since a driver that hangs for a moment goes on from where the robot is.
+
     Parameters
     ----------
     stamps, poses : (n,) [s] in order, (n, 3) [m, m, rad]
     """
-    steps, took = _steps(poses[:-1], poses[1:]), np.diff(stamps)
+    index = _changes(poses)
+    stamps, poses = stamps[index], poses[index]
+    steps, took = _steps(poses[:-1], poses[1:], robot), np.maximum(np.diff(stamps), _usual(stamps))
     if len(steps) < 3:
         return np.zeros(0, dtype=np.intp)
-    velocities = np.divide(steps, took[:, None], out=np.full_like(steps, np.inf), where=took[:, None] > 0)
-    excess, most = np.full((2, len(steps) - 2), np.inf), np.zeros((2, len(steps) - 2))
     step, dt = steps[1:-1], took[1:-1]
-    with np.errstate(invalid="ignore"):
-        for side, near in enumerate((slice(None, -2), slice(2, None))):
-            excess[side] = _length(step - velocities[near] * dt[:, None], robot)
-            most[side] = robot.distance + robot.acceleration * dt * (dt + took[near]) / 2
-        excess = np.nan_to_num(excess, nan=0.0)
-        noise = float(np.median(excess.min(axis=0)))
-        is_jump = (excess > np.maximum(most, faults.significance * noise)).all(axis=0)
-    found = np.flatnonzero(is_jump) + 1
+    excess, most = np.zeros((2, len(dt))), np.zeros((2, len(dt)))
+    for side, near in enumerate((slice(None, -2), slice(2, None))):
+        longer = np.divide(dt, took[near], out=np.ones(len(dt)), where=took[near] > 0)
+        excess[side] = _off(step, steps[near], faults.timing * np.maximum(longer, 1.0))
+        most[side] = (
+            robot.distance + robot.acceleration * faults.timing * dt * (faults.timing * dt + took[near]) / 2
+        )
+    excess[~np.isfinite(excess)] = 0.0
+    noise = float(np.median(excess.min(axis=0)))
+    is_jump = (excess > np.maximum(most, max(faults.least, faults.significance * noise))).all(axis=0)
+    found = index[np.flatnonzero(is_jump) + 2] - 1
     return found if len(found) <= faults.share * len(steps) else np.zeros(0, dtype=np.intp)
 
 
@@ -122,23 +131,36 @@ def measured_poses(stamps: Floats, poses: Floats, faults: FaultLimits = FAULT_LI
     ----------
     stamps, poses : (n,) [s] in order, (n, 3) [m, m, rad]
     """
-    first = np.flatnonzero(np.append(True, (poses[1:] != poses[:-1]).any(axis=1)))
+    first = _changes(poses)
     if len(first) < faults.values or np.median(np.diff(first)) < faults.repeats:
         return None
     usual = float(np.median(np.diff(stamps[first])))
-    stands = np.diff(stamps[first], append=stamps[-1]) > faults.longer * usual
     ends = np.append(stamps[first[1:]] - usual, stamps[-1])
-    until = np.searchsorted(stamps, ends[stands], side="right") - 1
-    return np.unique(np.concatenate([first, until]))
+    stands = np.diff(stamps[first], append=stamps[-1]) > faults.longer * usual
+    until = np.where(stands, np.searchsorted(stamps, ends, side="right") - 1, first)
+    number = np.repeat(np.arange(len(first)), np.diff(first, append=len(stamps)))
+    return np.flatnonzero(np.arange(len(stamps)) <= until[number])
 
 
-def _steps(first: Floats, second: Floats) -> Floats:
-    """Return the steps (n, 3) between poses, in the frame of the odometry."""
+def _changes(poses: Floats) -> Ints:
+    """Return the indices (m,) of the poses (n, 3) that differ from the one before, and of the first."""
+    return np.flatnonzero(np.append(True, (poses[1:] != poses[:-1]).any(axis=1))[: len(poses)])
+
+
+def _steps(first: Floats, second: Floats, robot: PublisherLimits) -> Floats:
+    """Return the steps (n, 3) [m] between poses, in the frame of the odometry, with turns as distances."""
     steps = second - first
     steps[:, 2] = wrap(steps[:, 2])
-    return steps
+    return np.asarray(steps * [1.0, 1.0, robot.lever])
 
 
-def _length(steps: Floats, robot: PublisherLimits) -> Floats:
-    """Return the lengths (n,) [m] of steps (n, 3), with turns as distances."""
-    return np.asarray(np.sqrt(np.square(steps * [1.0, 1.0, robot.lever]).sum(axis=1)))
+def _usual(stamps: Floats) -> float:
+    """Return the median time [s] between stamps; a shorter one is that of a message that arrived late."""
+    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+
+
+def _off(steps: Floats, along: Floats, most: Floats) -> Floats:
+    """Return the distances (n,) of steps (n, 3) from the nearest of those `along` (n, 3) times 0 to `most` (n,)."""
+    square = np.square(along).sum(axis=1)
+    share = np.divide((steps * along).sum(axis=1), square, out=np.zeros(len(steps)), where=square > 0)
+    return np.asarray(np.linalg.norm(steps - np.clip(share, 0.0, most)[:, None] * along, axis=1))
