@@ -121,6 +121,47 @@ def jumps(
     return found if len(found) <= faults.share * len(steps) else np.zeros(0, dtype=np.intp)
 
 
+def hung_poses(
+    stamps: Floats,
+    poses: Floats,
+    faults: FaultLimits = FAULT_LIMITS,
+    robot: PublisherLimits = PUBLISHER_LIMITS,
+) -> Bools:
+    """Return which poses only repeat the one before while the robot moves on, of a driver that hangs and then catches up.
+
+    The step that ends such poses is a jump, unless it began with them, at the speed before or after.
+
+    Parameters
+    ----------
+    stamps, poses : (n,) [s] in order, (n, 3) [m, m, rad]
+
+    Returns
+    -------
+    (n,)
+    """
+    hung = np.zeros(len(poses), dtype=np.bool_)
+    first, usual = _changes(poses), _usual(stamps)
+    if len(first) < 4:
+        return hung
+    steps = _steps(poses[first[:-1]], poses[first[1:]], robot)
+    dt = np.maximum(stamps[first[1:]] - stamps[first[1:] - 1], usual)
+    before, own, after = slice(None, -2), slice(1, -1), slice(2, None)
+    excess = _off(
+        steps[own], steps[after], faults.timing * np.maximum(dt[own] / np.maximum(dt[after], 1e-9), 1.0)
+    )
+    most = (
+        robot.distance
+        + robot.acceleration * faults.timing * dt[own] * (faults.timing * dt[own] + dt[after]) / 2
+    )
+    spans, ways = np.maximum(np.diff(stamps[first]), usual), np.linalg.norm(steps, axis=1)
+    speeds = np.divide(ways, spans, out=np.zeros(len(ways)), where=spans > 0)
+    reach = faults.timing * spans[own] * np.maximum(speeds[before], speeds[after])
+    is_hung = (excess > np.maximum(most, faults.least)) & (ways[own] <= reach)
+    for k in np.flatnonzero(is_hung) + 1:
+        hung[first[k] + 1 : first[k + 1]] = True
+    return hung
+
+
 def measured_poses(stamps: Floats, poses: Floats, faults: FaultLimits = FAULT_LIMITS) -> Ints | None:
     """Return the indices of the poses that were measured, of odometry that repeats each; None if most differ from the last.
 

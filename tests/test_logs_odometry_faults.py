@@ -9,7 +9,7 @@ import pytest
 from rosbag_samples import odometry, read, scan, transform
 
 from logs.motion import Motion
-from logs.odometry_faults import jumps, measured_poses, wrong_poses
+from logs.odometry_faults import hung_poses, jumps, measured_poses, wrong_poses
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.missing_odometry import without_corrections
 
@@ -81,6 +81,25 @@ def test_odometry_that_repeats_its_poses_keeps_the_measured_ones() -> None:
     expected = [*range(0, 300, 10), *range(300, 491), *range(500, 800, 10), *range(800, 1000)]
     np.testing.assert_array_equal(measured_poses(T, stands), expected)
     assert measured_poses(T, DRIVE) is None and measured_poses(T, np.zeros_like(DRIVE)) is None
+
+
+def test_poses_of_a_driver_that_hangs_and_catches_up_are_found() -> None:
+    hangs, stands, goes_on = DRIVE.copy(), DRIVE.copy(), DRIVE.copy()
+    hangs[300:450] = hangs[300]  # 3 s, and then it is where the robot is
+    np.testing.assert_array_equal(np.flatnonzero(hung_poses(T, hangs)), np.arange(301, 450))
+    assert len(jumps(T, hangs)) == 0
+    slowing = PHI[300] + 0.4 * (
+        1 - np.exp(-(T[:300]))
+    )  # it stops slowly, and is corrected by 0.5 m while it stands
+    stands[300:600] = np.round(
+        np.column_stack([1.5 * np.sin(slowing), 1.5 * (1 - np.cos(slowing)), slowing]), 3
+    )
+    stands[600:] = stands[599] + [0.5, 0.0, 0.0]
+    stands[800:] = compose(stands[800], compose(invert(DRIVE[800]), DRIVE[800:]))
+    goes_on[300:450] = goes_on[300]  # it lost this way
+    goes_on[450:] = compose(goes_on[300], compose(invert(DRIVE[450]), DRIVE[450:]))
+    for poses in (DRIVE, stands, goes_on, DRIVE[:3]):
+        assert not hung_poses(T[: len(poses)], poses).any()
 
 
 def test_a_log_is_read_without_wrong_and_repeated_poses(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.jumps import JUMP_LIMITS
-from logs.odometry_faults import measured_poses, wrong_poses
+from logs.odometry_faults import hung_poses, measured_poses, wrong_poses
 from logs.publishers import of_one_publisher
 from logs.ros.messages import planar_covariances
 from logs.ros.recording import (
@@ -241,12 +241,16 @@ def _selected(name: str, odom: Track, index: Ints) -> Track:
 
 
 def _measured(name: str, odom: Track) -> tuple[Track, list[str]]:
-    """Return the odometry without poses that only repeat the one before, where most do, and a note."""
-    index = measured_poses((odom.stamps - odom.stamps[:1]) / 1e9, odom.values[:, :3])
+    """Return the odometry without poses that only repeat the one before, and a note."""
+    times, poses = (odom.stamps - odom.stamps[:1]) / 1e9, odom.values[:, :3]
+    index, why = measured_poses(times, poses), "is published more often than it is measured"
     if index is None:
-        return odom, []
-    note = f"{name} is published more often than it is measured: {len(odom.stamps) - len(index)} poses that repeat the one before"
-    return _selected(name, odom, index), [f"{note} were left out"]
+        hung, why = hung_poses(times, poses), "hangs while the robot moves on"
+        if not hung.any():
+            return odom, []
+        index = np.flatnonzero(~hung)
+    note = f"{name} {why}: {len(times) - len(index)} poses that repeat the one before were left out"
+    return _selected(name, odom, index), [note]
 
 
 def _whole(name: str, odom: Track) -> tuple[Track, list[str]]:
