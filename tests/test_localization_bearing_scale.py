@@ -103,3 +103,10 @@ def test_a_view_that_shows_any_step_leaves_the_bearings() -> None:
     start: Any = Anything()
     motion: Any = None
     assert identify_bearing_scale(sensor, start, start, motion, None, 1.0) is None
+
+
+def test_a_robot_that_only_spins_leaves_the_bearings() -> None:
+    turn = np.linspace(0, 2 * np.pi, 60)
+    run = room_run(np.column_stack([np.full(60, 2.0), np.full(60, 1.5), turn]))
+    alone = replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
+    assert not any("step of the bearings" in note for note in locate(alone).notes)

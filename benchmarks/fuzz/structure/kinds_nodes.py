@@ -199,7 +199,7 @@ def wrong_poses(start: Start, draft: Draft) -> None:
     off = start.pick((np.array([0.6, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), None))
     for k in start.rng.choice(np.arange(20, len(odometry) - 20), 12, replace=False):
         odometry[k] = 0.0 if off is None else odometry[k] + off
-    _state(draft, odometry)
+    draft.state(odometry)
     draft.drop(start.pick(("/odom", "/tf")))
 
 
@@ -207,7 +207,7 @@ def wrong_poses(start: Start, draft: Draft) -> None:
 def held_odometry(start: Start, draft: Draft) -> None:
     """The odometry is published more often than the wheels are read."""
     every, n = start.pick((5, 10)), len(draft.drive.odometry)
-    _state(draft, draft.drive.odometry[np.arange(n) // every * every])
+    draft.state(draft.drive.odometry[np.arange(n) // every * every])
 
 
 @of(reference=0.0)
@@ -217,7 +217,7 @@ def corrected_odometry(start: Start, draft: Draft) -> None:
     for at in start.rng.uniform(3, 19, 3):
         late = draft.drive.odom_times > at
         odometry[late] = compose(start.rng.uniform(-0.6, 0.6, 3), odometry[late])
-    _state(draft, odometry)
+    draft.state(odometry)
 
 
 @of(reference=0.0)
@@ -228,7 +228,7 @@ def frozen_odometry(start: Start, draft: Draft) -> None:
     if start.chance():
         odometry[last:] = compose(odometry[first], compose(inverse(odometry[last]), odometry[last:]))
     odometry[first:last] = odometry[first]
-    _state(draft, odometry)
+    draft.state(odometry)
 
 
 def sideways(start: Start) -> Draft:
