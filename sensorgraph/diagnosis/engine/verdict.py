@@ -17,6 +17,8 @@ from enum import StrEnum
 
 SURELY = 0.975
 """Probability that a size exceeds a bound by about two standard errors."""
+OBSERVABLE_SIZE = 3.0
+"""Size of an effect that a run should show, in materialities."""
 
 
 class Verdict(StrEnum):

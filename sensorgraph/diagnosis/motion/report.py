@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
-from sensorgraph.diagnosis.engine.verdict import SURELY, Facts, Objection, Verdict
+from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE, SURELY, Facts, Objection, Verdict
 from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
@@ -37,8 +37,6 @@ from sensorgraph.types import Floats
 
 ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
 """Why an effect next to structure is not named."""
-OBSERVABLE_SIZE = 3.0
-"""Size of an effect that should be observable, in materialities."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS, OpenQuestion
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.observability import separation
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 
 LONGER_THAN_ANY_WALL = 1e3
@@ -107,7 +107,7 @@ def typical_effect(name: str, why: str = "") -> Amendment | None:
     why : Reason from `not_observable`. The effect is placed at the first place in it.
     """
     effect = EFFECTS[name]
-    values = effect.typical(SCAN.observability.size)
+    values = effect.typical(OBSERVABLE_SIZE)
     place = why.split(":")[0].split(",")[0] if ":" in why else ""
     if effect.place in ("wall", "obstacle") and place:
         whole_wall = {"a": 0.0, "b": LONGER_THAN_ANY_WALL} if effect.on_part_of_wall else {}

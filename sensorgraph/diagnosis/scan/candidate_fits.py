@@ -34,9 +34,7 @@ class CandidateFits:
     ) -> None:
         noise = current.state.noise
         stretched = current.state.stretch > SCAN.nuisance.stretched_scale
-        self.is_strained = noise_bounds.max_scale > 1.0 and (
-            stretched or noise.core > SCAN.sweep.max_core or noise.tail > SCAN.sweep.max_tail
-        )
+        self.is_strained = noise_bounds.max_scale > 1.0 and (stretched or noise.core > SCAN.sweep.max_core)
         """Whether widened tolerances may hide an effect. All fits then start at the specified ones."""
         self.data, self.current, self.noise_bounds, self.memory = data, current, noise_bounds, memory
         self._gained = gained

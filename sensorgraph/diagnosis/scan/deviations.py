@@ -75,7 +75,7 @@ def scores(view: FitResiduals) -> Scores:
     p_stray = view.noise.stray + expected.stray + expected.short
     due = view.aimed & off_edge & ~np.isnan(view.z)
     inside = np.clip(
-        (view.range_max - np.where(view.aimed, view.mu, 0.0)) / (settings.range_max_margin * view.sigma),
+        (view.range_max - np.where(view.aimed, view.mu, 0.0)) / (settings.clip * view.sigma),
         0.0,
         1.0,
     )
@@ -120,7 +120,7 @@ def _outlines(view: FitResiduals) -> Bools | None:
 
 
 def deviations(view: FitResiduals, parts: Sequence[Partition] | None = None) -> list[Deviation]:
-    """Return the bins whose z exceeds `listed_z`, largest first.
+    """Return the bins whose z exceeds `min_z`, largest first.
 
     For spreads and shares only positive deviations count.
 
@@ -168,7 +168,7 @@ def _in_partition(view: FitResiduals, part: Partition, score: Scores, blocks: In
         min_scatter = MIN_SCATTER[family] * np.sqrt(rays)
         z = total / np.maximum(np.maximum(scatter, min_scatter), 1e-9)
         enough = (rays >= settings.min_rays) & (by_bin(n > 0) >= settings.min_blocks)
-        is_strong = (np.abs(z) if family == "bias" else z) > settings.listed_z
+        is_strong = (np.abs(z) if family == "bias" else z) > settings.min_z
         unit = sigma if family == "bias" else 1.0
         least = np.zeros(part.count)  # of deviations that the map may cause, in units of the scores
         if family in ("bias", "spread"):
@@ -226,7 +226,7 @@ def dispersion(view: FitResiduals) -> Dispersion:
     value, counted = score.values["spread"], score.counted["spread"]
     n = counted.sum(axis=1)
     some = n > SCAN.goodness_of_fit.min_rays_of_scan
-    if some.sum() < SCAN.goodness_of_fit.min_scans:
+    if some.sum() < SCAN.goodness_of_fit.min_rays:
         return Dispersion()
     mean = value.sum(axis=1)[some] / n[some]
     within = float(value[counted].var())

@@ -216,7 +216,7 @@ def fit(
         state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[list(POSE_LIKE)])
     state.g[held_at_0] = 0.0
     is_laid = data.grain > 0
-    for _ in range(max(outer, SCAN.fit.map_casts) if is_laid and not model else outer):
+    for _ in range(max(outer, SCAN.fit.casts) if is_laid and not model else outer):
         laid = as_cast(data, state)  # so that the fit of another effect starts at the same cast
         solver, at = solver_for(laid, model)
         zero = np.zeros(solver.n_effects)
@@ -331,9 +331,7 @@ def polish(
                     break
             else:
                 steps[name] *= 0.4
-        if not moved and all(
-            s < SCAN.fit.end_of_search * amendment.search_steps[k] for k, s in steps.items()
-        ):
+        if not moved and all(s < SCAN.fit.settled_step * amendment.search_steps[k] for k, s in steps.items()):
             break
     return tuple(current)
 

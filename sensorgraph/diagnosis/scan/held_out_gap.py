@@ -22,7 +22,7 @@ from sensorgraph.types import Bools, Floats
 
 def held_out(data: ScanData) -> Bools:
     """Return which scans (n_scans,) are excluded from every fit and choice: one block of a second in eight."""
-    every = SCAN.held_out.every
+    every = SCAN.held_out_every
     block = np.floor((data.stamps - data.begin) / SCAN.block).astype(np.intp)
     held = block % every == every // 2
     if not held.any() or held.all():
@@ -68,7 +68,7 @@ class _HeldOutFit:
         even = np.zeros(expected.reading.shape, dtype=np.bool_)
         even[:, ::2] = True
         none = np.zeros(0)
-        for _ in range(SCAN.held_out.pose_rounds):
+        for _ in range(SCAN.fit.pose_rounds):
             responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
             system = solver.assemble(np.where(even, responsibilities.weight, 0.0), state.pose_scale)
             state.delta = system.poses_at(state.g)
@@ -83,7 +83,6 @@ def held_out_gap(
     named: Sequence[Amendment],
     *,
     rng: np.random.Generator,
-    n_replicates: int = SCAN.held_out.n_replicates,
 ) -> Gap:
     """Measure the gap before and after on held-out scans, and the noise floor of a perfect model.
 
@@ -98,7 +97,6 @@ def held_out_gap(
     ----------
     null, final : Fits without effects and of the accepted model, to the other scans.
     named : Effects of the amended simulator.
-    n_replicates : Number of simulated replicates that the noise floor is averaged over.
     """
     before = _HeldOutFit(data, (), final, null.state.noise)
     after = _HeldOutFit(data, named, final, final.state.noise if named else null.state.noise)
@@ -115,7 +113,7 @@ def held_out_gap(
 
     def floor(side: _HeldOutFit, draws: np.random.Generator) -> FitQuality:
         floors = []
-        for _ in range(n_replicates):
+        for _ in range(SCAN.goodness_of_fit.n_slow_replicates):
             drawn, errors = _drawn(data, side, side.fitted, draws)
             # as for the measured scans, start at the likely poses
             responsibilities, mu = side.e_step(drawn, None if data.posed is None else errors)

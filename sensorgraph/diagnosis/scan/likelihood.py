@@ -26,7 +26,6 @@ from sensorgraph.types import Floats
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.scene import apply_range_limits
 
-SQRT_TAU = np.sqrt(2 * np.pi)
 SETTINGS = SCAN.likelihood
 
 

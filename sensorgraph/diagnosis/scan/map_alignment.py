@@ -57,10 +57,9 @@ class Alignment:
     @property
     def is_good(self) -> bool:
         """Whether the map can be used as it is."""
-        is_lost = (
-            max(self.share, self.best_share) < SETTINGS.min_share or self.matching < SETTINGS.min_matching
+        return self.matching >= SETTINGS.poor_share and self.best_share < max(
+            self.share + SETTINGS.min_gain, SETTINGS.poor_share
         )
-        return not is_lost and self.best_share < max(self.share + SETTINGS.min_gain, SETTINGS.poor_share)
 
     @property
     def fits_elsewhere(self) -> bool:
@@ -117,10 +116,10 @@ def align(data: ScanData, rng: np.random.Generator) -> Alignment:
     at_walls = Barriers(data.arena).distances(points) < SETTINGS.wall_distance if is_coarse else None
     share = raster.share(points) if at_walls is None else float(at_walls.mean())
     matching = _matching_share(data)
-    if share >= SETTINGS.good_share and matching >= SETTINGS.min_matching:
+    if share >= SETTINGS.good_share and matching >= SETTINGS.poor_share:
         return Alignment(share=share, best_share=share, matching=matching)
     moved = Alignment(share=share, best_share=share)
-    if not is_coarse and (share <= SETTINGS.poor_share or matching < SETTINGS.min_matching):
+    if not is_coarse and (share <= SETTINGS.poor_share or matching < SETTINGS.poor_share):
         moved = _moved(data, raster, points, share)
     least = max(moved.best_share + SETTINGS.min_scale_gain, SETTINGS.good_share)
     searches = (
@@ -169,7 +168,7 @@ def _wrong_orientation(alignment: Alignment, run: Run, data: ScanData) -> str:
     if found is None or found.best == "as logged":
         return ""
     now, then = found.fits["as logged"], found.fits[found.best]
-    if then > min(SETTINGS.max_orientation_error, 0.5 * now):
+    if then > min(2 * SETTINGS.wall_distance, 0.5 * now):
         return ""
     return (
         f"the scan fits the arena if it is {found.best}: the median error is then {100 * then:.0f} cm instead of "
@@ -194,8 +193,7 @@ def _matching_share(data: ScanData) -> float:
     if not returned.any():
         return 1.0
     off = np.abs(measured[returned] - cast[returned])
-    margin, share = SETTINGS.matching_error
-    return float((off < margin + share * measured[returned]).mean())
+    return float((off < SETTINGS.wall_distance + SETTINGS.matching_error * measured[returned]).mean())
 
 
 def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Alignment:

@@ -97,7 +97,7 @@ class EffectSearch:
         self, data: ScanData, noise_bounds: NoiseBounds, threshold: float, progress: ProgressBars
     ) -> None:
         self.data, self.noise_bounds, self.threshold, self.progress = data, noise_bounds, threshold, progress
-        self.casts = 1 if data.posed is None else SCAN.fit.pose_casts
+        self.casts = 1 if data.posed is None else SCAN.fit.casts
         with progress("fitting the simulator", ""):
             self.null = self._fit((), start_state(data, noise_bounds), self.casts, 7)
         self.current = self.null
@@ -122,7 +122,6 @@ class EffectSearch:
             begun = self.current.j
             with self.progress(f"trying effects, round {len(self.steps) + 1}", "candidates") as tick:
                 tried, also = self._try(tick)
-            tried = [t for t in tried if t[1] > SCAN.selection.hopeless_gain]
             if not tried:
                 if not memory.repeat_in_full():
                     return None
@@ -145,7 +144,7 @@ class EffectSearch:
                 if others:
                     self.rivals[mine] = min(others, key=lambda t: t[1])
                 return effect, gain
-            had_converged = self.current.j <= begun + SCAN.selection.min_refit_gain
+            had_converged = self.current.j <= begun + self.threshold
             if had_converged and not memory.repeat_in_full():
                 return None
         return None

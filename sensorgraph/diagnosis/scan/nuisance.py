@@ -151,11 +151,9 @@ def linearise(
     grazing = straight & ~valid
     divisor = np.maximum(cosine, MIN_COSINE)
     constant, share_of_range = SETTINGS.grazing_sigma
-    sigma = np.minimum(
-        constant / divisor + share_of_range * beams.ranges / divisor, SETTINGS.max_grazing_sigma
-    )
+    sigma = np.minimum(constant / divisor + share_of_range * beams.ranges / divisor, SETTINGS.max_steep_sigma)
     steep = np.where(grazing, sigma, 0.0)
-    steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_bent_sigma), steep)
+    steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_steep_sigma), steep)
     beside = wobble_of_readings(data.wobble, pose), _by_corners_that_stay(data, wall, ends)
     return Jacobian(
         pose=pose,
@@ -182,7 +180,7 @@ def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:
         return np.zeros(wall.shape)
     stays = data.corners.ends == data.corners.rest
     off = np.hypot(*(ends[k] * stays[:, k][wall] for k in (0, 1)))
-    return np.asarray(np.minimum(data.tolerances.map * off, SETTINGS.max_grazing_sigma))
+    return np.asarray(np.minimum(data.tolerances.map * off, SETTINGS.max_steep_sigma))
 
 
 def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.scan.exposure import RunExposure
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -19,8 +20,6 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.exposures import falls_short, listed
 from sensorgraph.types import Floats
-
-SIZE = SCAN.observability.size
 
 
 def not_observable(
@@ -71,7 +70,7 @@ def _told_by_effects(exposure: RunExposure) -> dict[str, str]:
     for name, effect in EFFECTS.items():
         if effect.diagnostics.unobservable is None:
             continue
-        typical = effect.typical(SIZE)
+        typical = effect.typical(OBSERVABLE_SIZE)
         why = effect.diagnostics.unobservable(exposure, typical, exposure.need_of(effect))
         if why:
             out[name] = why
@@ -79,8 +78,8 @@ def _told_by_effects(exposure: RunExposure) -> dict[str, str]:
 
 
 def _sizes(effect: Effect) -> Floats:
-    """Return shifts (m, k) of SIZE materialities; four directions for a shift in the plane."""
-    sizes = np.array([SIZE * effect.sizes.get(name, 0.0) for name in effect.steps])
+    """Return shifts (m, k) of OBSERVABLE_SIZE materialities; four directions for a shift in the plane."""
+    sizes = np.array([OBSERVABLE_SIZE * effect.sizes.get(name, 0.0) for name in effect.steps])
     if len(effect.sizes) == 2:
         angle = np.arange(4) * np.pi / 4
         return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=1) * sizes)
@@ -106,16 +105,18 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
         if max(nats) >= need:
             angle = int(45 * int(np.argmin(nats)))
             reason = f"not along {angle}° (0° is forward): {reason}"
-        out[effect.name] = f"{reason}; at {SIZE:g} times its materiality, {falls_short(min(nats), need)}"
+        out[effect.name] = (
+            f"{reason}; at {OBSERVABLE_SIZE:g} times its materiality, {falls_short(min(nats), need)}"
+        )
     for effect in EFFECTS.values():
         if effect.has_own_columns and effect.sizes and effect.name not in exposure.fitted.names():
-            nats_alone, need = exposure.nats_alone(effect, SIZE), exposure.need_of(effect)
+            nats_alone, need = exposure.nats_alone(effect, OBSERVABLE_SIZE), exposure.need_of(effect)
             if nats_alone < need:
                 out[effect.name] = (
-                    f"{_lacks(effect, exposure)}; at {SIZE:g} times its materiality, {falls_short(nats_alone, need)}"
+                    f"{_lacks(effect, exposure)}; at {OBSERVABLE_SIZE:g} times its materiality, {falls_short(nats_alone, need)}"
                 )
     for name, places in blind.items():
-        out[name] = f"{listed(places)}: observed too rarely for {SIZE:g} times its materiality"
+        out[name] = f"{listed(places)}: observed too rarely for {OBSERVABLE_SIZE:g} times its materiality"
     for name, places in partly.items():
         said = f"{listed(places)}: a shift across the line of sight would not show"
         out[name] = f"{out[name]}; {said}" if name in out else said

@@ -57,7 +57,7 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     """Return the best value of each group of values that effects request to be cast; of all groups, the best few.
 
     Values are cast on a part of the scans, with frozen nuisances. A group ends at a value whose gain is
-    hopeless and below that of the previous value.
+    negative and below that of the previous value.
     """
     groups = [
         (effect, group)
@@ -69,12 +69,10 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
         return []
     data, fitted = residuals.data, residuals.fitted
     settings = SCAN.sweep
-    is_large = data.arena.n_walls > SCAN.nuisance.max_corners
-    n_scans = settings.n_scans_of_large_map if is_large else settings.n_scans
-    every = max(1, data.n_scans // n_scans)
+    every = max(1, data.n_scans // settings.n_scans)
     few = thin(data, every)
     state, nominal = thin_state(fitted.state, every), start_state(few, SCAN.noise)
-    if state.noise.core > settings.max_core or state.noise.tail > settings.max_tail:
+    if state.noise.core > settings.max_core:
         state = nominal
     # at nominal nuisances the result depends on the model only, and a strained fit needs it twice
     key = b"swept|" + repr([(a.key, *a.parameters.items()) for a in fitted.model]).encode()
@@ -90,8 +88,7 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
             amendment = effect(**values)
             gain = (log_likelihood(few, (*fitted.model, amendment), state) - base) * every
             tried.append(Candidate(amendment=amendment, gain=gain))
-            is_falling = len(tried) > 1 and gain < tried[-2].gain
-            if is_falling and gain < SCAN.selection.hopeless_gain:
+            if len(tried) > 1 and gain < min(tried[-2].gain, 0.0):
                 break
         found.append(max(tried, key=lambda c: c.gain))
     best = sorted(found, key=lambda c: -c.gain)[: settings.max_candidates]

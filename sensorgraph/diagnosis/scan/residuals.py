@@ -9,13 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
+from sensorgraph.diagnosis.scan.beam_mixture import SQRT_TAU
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.interfaces import Present
 from sensorgraph.types import Bools, Floats
-
-SQRT_TAU = np.sqrt(2 * np.pi)
 
 
 @dataclass(eq=False)

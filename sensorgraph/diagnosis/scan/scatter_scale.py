@@ -37,7 +37,7 @@ def freed_scatter(data: ScanData, explained: Explained, noise_bounds: NoiseBound
     off = final.solution.responsibilities.residual[seen]
     # for a normal distribution; outliers hardly change the median
     scale = robust_sigma(off) / data.sensor.sigma
-    if not SCAN.nuisance.stretched_scale <= scale <= SCAN.goodness_of_fit.max_scatter:
+    if not SCAN.nuisance.stretched_scale <= scale <= SCAN.site.wide_noise.core[1]:
         return None
     free = replace(noise_bounds, core=(low * scale, high * scale))
     state = final.state.copy()

@@ -48,7 +48,7 @@ class IntakeSettings:
     min_scans: int = 50
     """Minimum number of scans with a pose."""
     min_rays: int = 3
-    """Minimum number of rays per scan."""
+    """Minimum number of rays per scan, and between two knots of a profile of errors."""
     max_readings: int = 100_000
     """Maximum number of readings used. Beyond it, map and poses limit the accuracy, not the noise."""
     min_sigma: float = 5e-4
@@ -80,20 +80,17 @@ class AlignmentSettings:
     """Conditions under which the arena fits the run, and the search for a better alignment (`map_alignment`)."""
 
     wall_distance: float = 0.15
-    """[m] Maximum distance between a wall and a ray that ends at it."""
-    min_share: float = 0.3
-    """Minimum share of returns at walls for any name."""
+    """[m] Maximum distance between a wall and a ray that ends at it; half the maximum median error of a scan in the
+    right orientation."""
+    matching_error: float = 0.05
+    """Share of the range by which a reading of the predicted length may be off, in addition to this distance."""
     poor_share: float = 0.45
-    """Share of returns at walls below which a better alignment is searched for."""
+    """Share of returns at walls below which a better alignment is searched for, and of readings with the predicted
+    length below which the run belongs to another place."""
     good_share: float = 0.8
     """Share of returns at walls below which another scale of the map is searched for."""
-    min_matching: float = 0.45
-    """Share of readings with the length that the arena predicts, below which the run belongs to another
-    place."""
     partly_matching: float = 0.65
-    """The same share, below which only a few effects are named."""
-    matching_error: tuple[float, float] = (0.15, 0.05)
-    """[m], and share of the range: maximum error of a reading that counts as matching."""
+    """Share of readings with the predicted length below which only a few effects are named."""
     matching_scans: int = 100
     """Number of scans that are cast for this share."""
     min_gain: float = 0.25
@@ -128,8 +125,6 @@ class AlignmentSettings:
     """Share of returns by which a coarse match may miss the requirement and still be refined."""
     refined_scales: int = 3
     """Number of best coarse scales that are refined."""
-    max_orientation_error: float = 0.3
-    """[m] Maximum median error of a scan in the right orientation."""
     second_run_share: float = 0.6
     """Share of returns at walls, relative to the first run, below which a second run belongs to another
     place."""
@@ -156,10 +151,8 @@ class NuisanceSettings:
     grazing_sigma: tuple[float, float] = (0.004, 0.003)
     """[m], and share of the range: additional standard deviation of a grazing ray, divided by the cosine of
     its incidence."""
-    max_grazing_sigma: float = 1.0
-    """[m] Maximum of this standard deviation."""
-    max_bent_sigma: float = 0.5
-    """[m] Maximum additional standard deviation of a ray that a surface has deflected."""
+    max_steep_sigma: float = 1.0
+    """[m] Maximum additional standard deviation of a reading: of a grazing ray, or of one that a surface has deflected."""
     max_corners: int = 400
     """Number of corners of a map above which none of them may shift."""
     max_pixel_corners: int = 200
@@ -198,22 +191,17 @@ class FitSettings:
 
     min_round_gain: float = 0.05
     """[nats] Gain of an expectation-maximisation round below which it is the last."""
-    end_of_search: float = 0.2
-    """Step of a searched parameter, relative to its first step, below which its search ends."""
     max_strides: int = 16
     """Maximum number of rounds of a search with growing steps, which started far from the optimum."""
     min_cast_gain: float = 0.3
     """[nats] Gain of another cast below which it is the last."""
-    map_casts: int = 4
-    """Maximum number of casts of an occupancy-grid map without effects, whose walls are fitted to the
-    readings."""
-    pose_casts: int = 3
-    """Maximum number of casts of a baseline fit with a wide reference tolerance, each at the poses of the
-    previous fit."""
+    casts: int = 4
+    """Maximum number of casts of a fit without effects, each at the walls or poses of the previous one: in an
+    occupancy-grid map, or with a wide reference tolerance."""
     pose_rounds: int = 5
-    """Number of rounds of the fit at each of these casts, while the likely poses are found."""
+    """Number of rounds of the fit at each cast, while the likely poses are found, and for a held-out scan."""
     settled_step: float = 0.2
-    """Step in standard errors below which no further cast is made."""
+    """Step below which a fit has converged, in standard errors; of a search, relative to its first step."""
     profile_tolerance: float = 0.02
     """Relative step at which the search for a share or a width ends."""
     max_profile_casts: int = 9
@@ -240,10 +228,6 @@ class SelectionSettings:
     """[nats] Evidence that a name requires, after the complexity penalty."""
     price: float = 4.0
     """[nats] Complexity penalty per parameter."""
-    n_obstacle_places: int = 6
-    """Number of places among which an obstacle counts as selected, for the penalty of the choice."""
-    min_refit_gain: float = 120.0
-    """[nats] Improvement of the fit without a candidate above which all candidates are tried again."""
     max_effects: int = 5
     """Maximum number of effects in a model."""
     max_effects_if_partly_matching: int = 3
@@ -270,8 +254,6 @@ class SelectionSettings:
     same_gain: float = 0.8
     """Minimum ratio of the smaller to the larger of a candidate's expected gains, in the bare model and now.
     Above it, the gain is unchanged, and the candidate is not a remainder of other effects."""
-    hopeless_gain: float = -50.0
-    """[nats] Gain below which a candidate is not compared."""
     end_blur: float = 2.0
     """Standard deviations of a ray's position on its wall, within which the ray may miss the end of a part."""
 
@@ -280,15 +262,11 @@ class SelectionSettings:
 class SweepSettings:
     """Values that effects request to be cast (`propose`); `sensorgraph.effects.proposals` has the limits of proposals."""
 
-    n_scans: int = 60
+    n_scans: int = 40
     """Number of scans on which values are cast."""
-    n_scans_of_large_map: int = 20
-    """The same if the map has too many corners to be fitted."""
     max_core: float = 1.1
     """Scale of the noise above which nominal noise is used, because the estimate may have absorbed the
     effect."""
-    max_tail: float = 0.1
-    """The same for the share of the tail."""
     max_candidates: int = 2
     """Maximum number of groups that are proposed."""
 
@@ -312,36 +290,24 @@ class StandardErrorSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservabilitySettings:
-    """Effects that a run should have shown (`observability`); limits of single effects are in their modules."""
-
-    size: float = 3.0
-    """Size of an effect that should show, in materialities."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class GoodnessOfFitSettings:
     """Limits of residuals that a model leaves unexplained (`goodness_of_fit`, `unnamed`, `deviations`)."""
 
     cell: float = 0.5
     """[m] Cell size of the raster of places."""
     clip: float = 4.0
-    """Standard deviations at which a residual is clipped."""
-    max_scatter: float = 4.0
-    """Maximum scatter of a laser, in multiples of sensor.sigma, that may explain more than effects do."""
+    """Standard deviations at which a residual is clipped, and from range_max within which a return is not due."""
     bent_reference: float = 2.0
     """Distortion of the reference, in tolerances, above which scans that fit the arena with its poses
     contradict it."""
     min_rays: int = 40
-    """Minimum number of rays in a bin."""
+    """Minimum number of rays in a bin, and of scans for an estimate of the dispersion."""
     min_blocks: int = 5
     """Minimum number of blocks in a bin."""
-    listed_z: float = 3.5
-    """z above which a bin is listed as a deviation."""
     max_listed: int = 24
     """Maximum number of deviations that are listed before effects are named."""
     min_z: float = 4.5
-    """z below which a deviation is not tested."""
+    """z below which a deviation is neither listed nor tested."""
     min_range_error: float = 0.003
     """[m] Minimum error of readings, or of their noise, that matters."""
     min_error_of_sigma: float = 0.2
@@ -352,8 +318,9 @@ class GoodnessOfFitSettings:
     """Number of replicates simulated from the model."""
     replicate_factor: float = 1.25
     """Minimum ratio of a deviation to the largest z of the replicates."""
-    n_replicates_of_scans: int = 4
-    """Number of replicates in which scans away from their poses are searched for."""
+    n_slow_replicates: int = 4
+    """Number of replicates in which scans away from their poses are searched for, and of those that give the
+    noise floor of the gap."""
     min_ratio_of_scans: float = 2.0
     """Minimum ratio of their gain to that of a replicate. The reference error within a sweep is known to a
     third of its size, and gains grow with its square."""
@@ -365,26 +332,20 @@ class GoodnessOfFitSettings:
     """Maximum ratio of the variance between scans to the variance within; correct models have 0.85 to 1.15."""
     min_absence_gain: float = 100.0
     """[nats] Minimum gain if an object is absent for one stretch of the run."""
-    min_absence_rays: int = 20
-    """Minimum number of rays that support the absence."""
     max_tolerance_scale: float = 3.2
     """Multiple of the nominal tolerances above which the setup differs from its description."""
     max_tolerance_scale_beside_effects: float = 2.0
     """The same with effects in the model, which explain a part of the difference."""
     outline_distance: float = 0.1
     """[m] Distance from mapped walls above which an obstacle is separate from them."""
-    min_absorbed_rays: int = 20
-    """Number of readings that an absorbing effect must explain before its properties are tested."""
+    min_readings: int = 20
+    """Number of readings that an absorbing effect must explain, or the absence of an object, to be tested."""
     failed_law_share: float = 0.1
     """Share of an effect's evidence that counts as unexplained if its readings contradict its properties."""
     clearly_better: float = 1.0
     """[nats] Minimum gain of a reading that one model explains and another does not."""
     min_rays_of_scan: int = 10
     """Number of scored rays above which a scan counts for the dispersion."""
-    min_scans: int = 30
-    """Minimum number of scans for an estimate of the dispersion."""
-    range_max_margin: float = 4.0
-    """Minimum distance of an expected range from range_max, in standard deviations, for a return that is due."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -393,23 +354,9 @@ class ProfileSettings:
 
     n_knots: int = 12
     """Number of bearings, or ranges, between which errors are interpolated."""
-    min_rays: int = 3
-    """Minimum number of rays per knot."""
     max_uneven_share: float = 0.1
     """Maximum share of the squared errors that remains after a stretch of the field of view, if the stretch
     is reported."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldOutSettings:
-    """Scans that are excluded from every fit and choice (`held_out_gap`)."""
-
-    every: int = 8
-    """One in this many blocks is held out."""
-    n_replicates: int = 4
-    """Number of replicates over which the noise floor is averaged."""
-    pose_rounds: int = 3
-    """Number of rounds for the pose error of a scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -518,6 +465,8 @@ class ScanSettings:
 
     block: float = 1.0
     """[s] Length of a block of scans with correlated errors; such a block is also held out together."""
+    held_out_every: int = 8
+    """One in this many blocks is excluded from every fit and choice (`held_out_gap`)."""
     intake: IntakeSettings = field(default_factory=IntakeSettings)
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     nuisance: NuisanceSettings = field(default_factory=NuisanceSettings)
@@ -527,10 +476,8 @@ class ScanSettings:
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     sweep: SweepSettings = field(default_factory=SweepSettings)
     standard_error: StandardErrorSettings = field(default_factory=StandardErrorSettings)
-    observability: ObservabilitySettings = field(default_factory=ObservabilitySettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
     profiles: ProfileSettings = field(default_factory=ProfileSettings)
-    held_out: HeldOutSettings = field(default_factory=HeldOutSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)
 

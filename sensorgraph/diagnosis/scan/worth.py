@@ -16,6 +16,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
 from sensorgraph.diagnosis.scan.spread_evidence import evidence
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.places import obstacles
 from sensorgraph.world.sensor_parts import sensor_of_rays
 
 
@@ -26,9 +27,8 @@ def worth(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -
 
 def price(amendment: Amendment, data: ScanData) -> float:
     """Return the penalty [nats] of an effect for its parameters, for the choice of its place, and for site clutter."""
-    places = {"wall": data.arena.n_walls, "obstacle": SCAN.selection.n_obstacle_places}.get(
-        amendment.effect.place or "", 1
-    )
+    walls = {"wall": data.arena.n_walls, "obstacle": len(obstacles(data.arena))}
+    places = walls.get(amendment.effect.place or "", 1)
     if amendment.place and amendment.effect.place is None:
         places = len(np.unique(sensor_of_rays(data.sensor)))
     paid = SCAN.selection.price * n_parameters(amendment) + float(np.log(max(places, 1)))

@@ -16,8 +16,6 @@ from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, rows_at
 from sensorgraph.diagnosis.motion.wheels.signals import MIN_ROWS, MotionSignals
 from sensorgraph.types import Floats
 
-NOMINAL_BASE = 0.4
-"""[m] wheelbase for the alignment. It only scales a free column, so that the result does not depend on it."""
 MAX_STEPS = 3
 """Maximum number of Gauss-Newton steps."""
 MAX_CLOCK = 0.8
@@ -62,7 +60,7 @@ def _enough_rows(signals: MotionSignals, clock: float) -> OdometryRows:
 def _offset_left(rows: OdometryRows, signals: MotionSignals) -> float:
     """Return the next step of the clock offset [s], with all columns free and the rows scaled by their spread."""
     columns = WheelColumns.of_library()
-    A = columns.evaluate(rows, signals.wheels, NOMINAL_BASE)
+    A = columns.evaluate(rows, signals.wheels, 1.0)  # the wheelbase only scales a free column
     y = wheel_rows(rows, signals.wheels)
     some = np.tile(rows.valid, 2)
     residual = y

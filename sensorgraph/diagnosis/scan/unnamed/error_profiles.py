@@ -133,7 +133,7 @@ def profiles(fitted: Fitted) -> list[ProfileColumns]:
     settings, bearings = SCAN.profiles, data.sensor.bearings
     if data.sensor.is_composite or measures_cones(data.sensor):
         return []
-    if data.n_rays < settings.min_rays * settings.n_knots or data.n_scans < 2 * N_PARTS:
+    if data.n_rays < SCAN.intake.min_rays * settings.n_knots or data.n_scans < 2 * N_PARTS:
         return []
     used = used_readings(fitted)
     if not used.any():

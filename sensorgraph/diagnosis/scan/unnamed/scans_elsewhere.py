@@ -120,7 +120,7 @@ def _is_sure(found: Elsewhere, fitted: Fitted, rng: np.random.Generator) -> bool
     if not found.is_likely:
         return False
     settings = SCAN.goodness_of_fit
-    for _ in range(settings.n_replicates_of_scans):
+    for _ in range(settings.n_slow_replicates):
         usual = elsewhere(replicate(fitted.solver.data, fitted, rng)[1])
         if usual.is_likely and found.gain < settings.min_ratio_of_scans * usual.gain:
             return False
