@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sensorgraph.diagnosis.scan.first_gains import FirstGains
 from sensorgraph.diagnosis.scan.score_test import Candidate
+from sensorgraph.diagnosis.scan.search_memory import FirstGains
 from sensorgraph.effects import EFFECTS
 
 

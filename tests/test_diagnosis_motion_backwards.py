@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from logs.run import Run
-from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
-from sensorgraph.diagnosis.motion.wheels.backwards import counts_backwards
+from sensorgraph.diagnosis.motion.odometry_channel import counts_backwards, diagnose_odometry
 from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import parse_robot

@@ -19,8 +19,7 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.engine.ledger import Ledger
 from sensorgraph.diagnosis.engine.verdict import Verdict
 from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
-from sensorgraph.diagnosis.motion.calibration.considered import driving_ledger
-from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, driving_ledger
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict

@@ -15,7 +15,7 @@ from planners.check import check
 from planners.errors import PlanError
 from planners.trajectory import read_csv
 from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace, candidate_motions
-from sensorgraph.diagnosis.next_run.design import NextRun, next_run
+from sensorgraph.diagnosis.next_run.design import NextRun, allocate_time, next_run
 from sensorgraph.diagnosis.next_run.drives import random_drive
 from sensorgraph.diagnosis.next_run.forecast import (
     EvidenceForecast,
@@ -24,9 +24,7 @@ from sensorgraph.diagnosis.next_run.forecast import (
     OpenQuestion,
     planned_scans,
 )
-from sensorgraph.diagnosis.next_run.questions import between, open_questions, typical_effect
-from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure
-from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
+from sensorgraph.diagnosis.next_run.questions import RoomExposure, between, open_questions, typical_effect
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats

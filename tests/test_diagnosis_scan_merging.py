@@ -11,7 +11,7 @@ from benchmarks.hidden_effects.entrants.product import run_of
 from benchmarks.hidden_effects.worlds.own.cases import make
 from planners.maps import geojson
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.diagnosis.scan.merging import fewer_effects
+from sensorgraph.diagnosis.scan.model_selection import fewer_effects
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.types import Floats

@@ -9,12 +9,11 @@ from conftest import polygon_arena
 from test_diagnosis_scan import drive
 
 from sensorgraph.diagnosis.scan import candidate_fits
-from sensorgraph.diagnosis.scan.first_gains import name_at_place
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.model_selection import explain
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.score_test import Candidate
-from sensorgraph.diagnosis.scan.search_memory import SearchMemory
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import parse_robot

@@ -11,8 +11,7 @@ import pytest
 
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander
-from sensorgraph.diagnosis.scan.wander import error_of_mean, wander_widths
+from sensorgraph.diagnosis.scan.standard_errors import error_of_mean, evidence_beside_wander, wander_widths
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats

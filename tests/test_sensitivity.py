@@ -34,7 +34,7 @@ def test_a_variant_leaves_no_trace() -> None:
 
 def test_constants_are_varied_where_they_were_imported_and_where_they_are_compiled() -> None:
     found = {one.label: one for one in constants_of("scan", sensorgraph.diagnosis.scan)}
-    assert {"scan.merging.MAX_GAP", "scan.beam_mixture.CUT"} < set(found)
+    assert {"scan.model_selection.MAX_GAP", "scan.beam_mixture.CUT"} < set(found)
     assert not any("CHI2" in label or "settings" in label for label in found)
 
     def densities() -> list[str]:

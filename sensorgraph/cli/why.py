@@ -25,7 +25,7 @@ def why(report: WhyReport, name: WhyName) -> None:
 
       sensorgraph why diagnosis/report.json scans_elsewhere
     """
+    from sensorgraph.diagnosis.engine.ledger import kept_ledger
     from sensorgraph.diagnosis.engine.why import why as explain
-    from sensorgraph.diagnosis.report.kept import kept_ledger
 
     typer.echo(explain(kept_ledger(report), name))

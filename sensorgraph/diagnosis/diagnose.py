@@ -25,8 +25,7 @@ from sensorgraph.diagnosis.motion.naming import (
 )
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
-from sensorgraph.diagnosis.next_run.questions import open_questions
-from sensorgraph.diagnosis.next_run.room_exposure import RoomExposure
+from sensorgraph.diagnosis.next_run.questions import RoomExposure, open_questions
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.held_out_gap import held_out

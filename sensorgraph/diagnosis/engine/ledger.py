@@ -1,15 +1,19 @@
 """Ledger of a diagnosis: every hypothesis that was considered, with its numbers and the verdict on it.
 
-This package knows no robot: hypotheses come with the words and numbers that a reader needs. `why` explains an entry.
+This package knows no robot: hypotheses come with the words and numbers that a reader needs. `why` explains an entry. `kept_ledger` reads
+a kept report.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
+from sensorgraph.errors import SensorgraphError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,3 +201,30 @@ def nats(value: float | None) -> str:
         return "unknown"
     text = f"{value:.1f}" if abs(value) < 10 else f"{value:,.0f}"
     return f"{text.removesuffix('.0')} nats".replace("-", "−")
+
+
+def kept_ledger(path: Path) -> Ledger:
+    """Return the ledger of a report: its folder, or its report.json.
+
+    Raises
+    ------
+    SensorgraphError
+        There is no report, it is damaged, or it was written by a version without a ledger.
+    """
+    file = path / "report.json" if path.is_dir() else path
+    if not file.is_file():
+        raise SensorgraphError(f"{file} does not exist; give the folder of a diagnosis, or its report.json")
+    try:
+        report = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as exc:
+        raise SensorgraphError(
+            f"{file} is not JSON ({exc}); expected the report.json of a diagnosis"
+        ) from exc
+    if not isinstance(report, dict) or "effects" not in report:
+        raise SensorgraphError(f"{file} is not a report; expected the report.json of a diagnosis")
+    if "ledger" not in report:
+        raise SensorgraphError(f"{file} has no ledger, as of an older version; diagnose the run again")
+    try:
+        return Ledger.from_list(report["ledger"])
+    except (KeyError, TypeError, AttributeError, IndexError) as exc:
+        raise SensorgraphError(f"the ledger of {file} is damaged ({exc}); diagnose the run again") from exc

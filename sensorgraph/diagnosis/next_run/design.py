@@ -2,10 +2,17 @@
 
 1. `candidate_motions` lists motions that may separate two models: spins, sweeps and shuttles in the whole
    room.
-2. `forecast` predicts the evidence of each per second; `time_allocation` divides the time among them.
+2. `forecast` predicts the evidence of each per second; `allocate_time` divides the time among them.
 3. `drives` joins the motions with the most time into closed-form curves of moves and turns, in several
    versions.
 4. The version with the most expected evidence is the next run. Random drives are the comparison.
+
+The motions together bring the most evidence that their time allows:
+
+    maximise  sum over questions of log(1 + nats)   subject to   sum of time = duration, time >= 0
+
+The evidence nats of a question is the minimum, over the refitted values, of functions that are linear in time
+(`forecast`). It is therefore concave in time, and so is the sum.
 """
 
 from __future__ import annotations
@@ -36,11 +43,11 @@ from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
 from sensorgraph.diagnosis.next_run.forecast import (
     DECIDED_NATS,
     EvidenceForecast,
+    EvidenceQuadratic,
     MotionSamples,
     OpenQuestion,
     planned_scans,
 )
-from sensorgraph.diagnosis.next_run.time_allocation import allocate_time
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
@@ -57,6 +64,8 @@ MIN_SAMPLES = 40
 """Minimum number of sample moments of a whole drive."""
 N_SAMPLES = 6
 """Number of sample moments of a motion; twice as many for a spin."""
+N_ALLOCATION_STEPS = 24
+"""Number of steps of the Frank-Wolfe method."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -282,3 +291,42 @@ def _faced_wall(arena: Arena, motion: CandidateMotion) -> str:
     _, wall = cast_laser(arena.walls, pose, np.zeros(1), 1e4)
     index = int(wall[0, 0])
     return arena.names[index] if index >= 0 else "nothing"
+
+
+def allocate_time(
+    forecasts: Sequence[EvidenceForecast],
+    per_second: Sequence[EvidenceQuadratic],
+    duration: float,
+    allowed: slice,
+) -> Floats:
+    """Allocate the time of a run (n,) [s] among the `allowed` motions, by the Frank-Wolfe method.
+
+        time <- (1 - size) time + size duration e_best,   size = 2 / (step + 3)
+
+    e_best is the motion with the steepest gain (Frank and Wolfe, Naval Research Logistics Quarterly 3, 1956).
+    The logarithm in the objective gives each question a share of the time.
+
+    Parameters
+    ----------
+    per_second : Evidence of one second of each motion, for each question.
+    duration : [s] Of the run.
+    """
+    out = np.zeros(len(per_second[0].squares))
+    time = out[allowed]  # a view
+    some = [quadratics[allowed] for quadratics in per_second]
+    time[:] = duration / len(time)
+    totals = [quadratics.mean() * duration for quadratics in some]
+    for step in range(N_ALLOCATION_STEPS):
+        slope = np.zeros(len(time))
+        for forecast, quadratics, total in zip(forecasts, some, totals, strict=True):
+            x = forecast.refitted(total)
+            slope += quadratics.at(x) / (1.0 + max(float(total.at(x)), 0.0))
+        size = 2.0 / (step + 3.0)
+        best = int(slope.argmax())
+        time *= 1 - size
+        time[best] += size * duration
+        totals = [
+            total * (1 - size) + quadratics[best] * (size * duration)
+            for total, quadratics in zip(totals, some, strict=True)
+        ]
+    return out

@@ -6,7 +6,7 @@ The nuisances g, with prior standard deviations tau, and the smooth parameters p
 refitted; pose errors are eliminated. Each ray contributes half the squared difference of the two expected
 readings over the variance, and the Kullback-Leibler divergence of the return probabilities. At fixed x, the
 sum over scans is linear in time, so that the best allocation of time among motions is a concave problem
-(`time_allocation`).
+(`design`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Write the report of a diagnosis: report.json, report.html, effects.yaml, review.rrd and pictures in one folder."""
+"""Write the report of a diagnosis: report.json, report.html, effects.yaml, review.rrd and pictures in one folder.
+
+The viewer shows a short report in markdown next to the scans.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,17 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import compare
 from sensorgraph.diagnosis.report.data import plain, to_dict
+from sensorgraph.diagnosis.report.figures.arena import marks, wall_sections
 from sensorgraph.diagnosis.report.figures.draw import draw_all
 from sensorgraph.diagnosis.report.html import page
-from sensorgraph.diagnosis.report.markdown import markdown
-from sensorgraph.diagnosis.report.places import marks, wall_sections
+from sensorgraph.diagnosis.report.quantities import (
+    deviation_text,
+    parameters,
+    percent,
+    place_text,
+)
 from sensorgraph.diagnosis.report.rerun_view import write as write_review
+from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.effects import effects_file
 from sensorgraph.files import atomic_folder, write_timing
 from sensorgraph.types import Progress
@@ -114,3 +123,30 @@ def remove_old_report(folder: Path) -> None:
         (plan / name).unlink(missing_ok=True)
     if plan.is_dir() and not any(plan.iterdir()):
         plan.rmdir()
+
+
+def markdown(finding: Finding, name: str) -> str:
+    """Return a short report in markdown."""
+    summary = summarise(finding)
+    lines = [f"# {summary.headline}", "", *(f"{text}\n" for text in summary.details)]
+    for a in finding.effects:
+        lines += [
+            f"**{a.effect.title}** `{a.name}`: {a.effect.physics}",
+            "",
+            f"{a.effect.equation}: {', '.join(parameters(a))}" if a.parameters else a.effect.equation,
+            "",
+            f"probability {percent(a.probability)}"
+            + (f", log Bayes factor {a.evidence:,.0f}" if a.evidence is not None else "")
+            + (f", at {place_text(a)}" if place_text(a) else ""),
+            "",
+        ]
+    scan = finding.channels.get("scan")
+    if scan is not None and scan.deviations:
+        lines += [
+            "Deviations before any effect:",
+            "",
+            *(f"- {deviation_text(w)}" for w in scan.deviations[:4]),
+            "",
+        ]
+    lines += [f"*{name}. Gap and residuals are those of the bare simulator at the reference poses.*"]
+    return "\n".join(lines)

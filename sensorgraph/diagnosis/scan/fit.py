@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from sensorgraph.diagnosis.scan.bent_rays import bent_columns
 from sensorgraph.diagnosis.scan.cast_place import (
     as_cast,
     as_pose_errors,
@@ -30,7 +29,7 @@ from sensorgraph.diagnosis.scan.likelihood import (
     e_step,
     expected_readings,
 )
-from sensorgraph.diagnosis.scan.nuisance import Jacobian, corners_of, linearise
+from sensorgraph.diagnosis.scan.nuisance import Jacobian, bent_columns, corners_of, linearise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment

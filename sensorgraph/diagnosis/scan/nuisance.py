@@ -3,10 +3,13 @@
 Every tolerance is a Gaussian parameter with bounds: g ~ N(0, tau²) and |g| <= `max_tolerances` tau. The bounds keep large
 effects visible; with the prior alone, the data could absorb them. The unknowns g are one value for each `Nuisance`, then
 x and y of each corner of the map.
+
+A surface, an edge or a tilt bends a ray. The derivatives of such rays by the pose come from additional casts.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +18,7 @@ from sensorgraph.diagnosis.scan.corners import Corners
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.sweep_wobble import wobble_of_readings
-from sensorgraph.effects import EFFECTS, Effect
+from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
@@ -233,3 +236,44 @@ def pose_prior(data: ScanData, scale: float) -> Floats:
     own = np.diag([max(t.pose_xy, 1e-5) ** 2, max(t.pose_xy, 1e-5) ** 2, max(t.pose_yaw, 1e-6) ** 2])
     u = data.twists
     return scale**2 * (own + t.stamp**2 * u[:, :, None] * u[:, None, :])
+
+
+def bent_columns(
+    data: ScanData, model: Sequence[Amendment], beams: Beams
+) -> tuple[Bools, Floats, Floats] | None:
+    """Differentiate bent rays by the pose, with difference quotients of additional casts.
+
+    Returns
+    -------
+    Which rays have columns (n_scans, n_rays), and the columns (n_scans, 3, n_rays). Then |d reading / d phi|
+    (n_scans, n_rays) [m/rad] of all bent rays, including those where it is a jump. None without bent rays.
+    """
+    if beams.straight is None:
+        return None
+    which = ~beams.straight & np.isfinite(beams.reading)
+    rows = np.flatnonzero(which.any(axis=1))
+    if len(rows) == 0:
+        return None
+    few = data.subset(rows)
+    quotients = np.zeros((data.n_scans, 3, data.n_rays))
+    smooth = which.copy()
+    steepness = np.zeros(which.shape)
+    for axis, step in enumerate(SCAN.fit.pose_steps):
+        scene = few.scene()
+        scene.casts, scene.wanted = None, which[rows]
+        scene.motion = _nudged(few, axis, step)
+        moved = scene.run((*data.known, *model)).reading
+        with np.errstate(invalid="ignore"):
+            q = (moved - beams.reading[rows]) / step
+        ok = np.isfinite(q) & (np.abs(q) < SCAN.fit.max_pose_slope)
+        if axis == 2:
+            steepness[rows] = np.where(np.isfinite(q), np.abs(q), SCAN.fit.max_pose_slope)
+        smooth[rows] &= ok
+        quotients[rows, axis] = np.where(ok, q, 0.0)
+    return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)
+
+
+def _nudged(data: ScanData, axis: int, step: float) -> Callable[[Floats], Floats]:
+    offset = np.zeros(3)
+    offset[axis] = step
+    return lambda times: data.motion(times) + offset

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sensorgraph.diagnosis.scan.first_gains import name_at_place
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.propose import proposed_candidates
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
-from sensorgraph.diagnosis.scan.search_memory import SearchMemory
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.effects import Amendment

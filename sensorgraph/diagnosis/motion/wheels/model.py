@@ -5,15 +5,27 @@
 All effects except the clock and the place of a patch are linear. Rows are whitened, so that scales are
 determined over long stretches and patches and clocks over short ones, as the noise of camera and wheels
 requires.
+
+For the columns of structure, the motion of the wheels is estimated without its noise:
+
+    total_t = walk_t + level noise,   walk_t = walk_(t-1) + step      (local-level model)
+
+Rows are reference minus wheels. A column made of the wheels' readings shares its noise with the rows (errors
+in variables). This attenuates every scale. It also creates false scales where a column selects increments by
+their noisy speed, or by standstill (Fuller 1987, chapter 1). By the Gauss-Markov theorem, the best estimate
+of the motion from wheels and reference is uncorrelated with their difference. Columns made of that estimate
+therefore find nothing in pure noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
+from planners.kernel import kernel
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.reference_noise import FILTER_ORDER
@@ -28,9 +40,7 @@ from sensorgraph.diagnosis.motion.regression import (
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
-from sensorgraph.diagnosis.motion.wheels.fused_motion import fused_motion
 from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
-from sensorgraph.diagnosis.motion.wheels.slip_kernel import lost_inside
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
@@ -51,6 +61,8 @@ RADIUS_RANGE = (0.1, 2.5)
 """[m] smallest and largest radius of a patch."""
 STRUCTURE_THRESHOLD = 20.0
 """[nats] evidence that structure needs if the residual is white; proportionally more otherwise."""
+MIN_RATIO = 1e-9
+"""Ratio of walk and level noise, at which the walk is practically constant."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -210,3 +222,94 @@ class WheelModel:
 def price(term: Term) -> float:
     """Return the complexity penalty of an effect [nats]."""
     return EVIDENCE.price * len(term.effect.parameters)
+
+
+@kernel
+def lost_inside(
+    left_at: Floats, right_at: Floats, left: Floats, right: Floats, track: float, discs: Floats, rim: float
+) -> tuple[Floats, Floats]:
+    """Return distance [m] and turn [rad] (n_increments, n_discs) that two points of the body lose inside discs.
+
+        lost     = length clip((r - d) / rim + 1/2, 0, 1)      for each point
+        distance = (lost_left + lost_right) / 2,   turn = (lost_right - lost_left) / track
+
+    d is the distance of the point from the centre of the disc.
+
+    Parameters
+    ----------
+    left_at, right_at : (n_increments, 2) [m, map] Positions of the points.
+    left, right : (n_increments,) [m] Signed lengths of their paths.
+    track : [m] Distance between them.
+    discs : (n_discs, 3) x, y, r [m, map].
+    rim : [m] Width of the edge.
+    """
+    n, k = len(left), len(discs)
+    x, y = discs[:, 0].copy(), discs[:, 1].copy()
+    per_way = 1 / rim
+    until = discs[:, 2] * per_way + 0.5
+    distance, turn = np.empty((n, k)), np.empty((n, k))
+    for i in range(n):
+        for j in range(k):
+            dx, dy = left_at[i, 0] - x[j], left_at[i, 1] - y[j]
+            lost_left = left[i] * min(max(until[j] - np.sqrt(dx * dx + dy * dy) * per_way, 0.0), 1.0)
+            dx, dy = right_at[i, 0] - x[j], right_at[i, 1] - y[j]
+            lost_right = right[i] * min(max(until[j] - np.sqrt(dx * dx + dy * dy) * per_way, 0.0), 1.0)
+            distance[i, j] = (lost_left + lost_right) / 2
+            turn[i, j] = (lost_right - lost_left) / track
+    return distance, turn
+
+
+def fused_motion(rows: OdometryRows, wheels: WheelIncrements, residual: Floats) -> WheelIncrements:
+    """Return the increments of the wheels less their noise, as far as the reference shows it.
+
+    Their noise is a random walk, seen in the noise of the averaged reference. It is smoothed with the
+    local-level model (Durbin and Koopman 2012, section 2.4). The residual determines both variances.
+
+    Parameters
+    ----------
+    residual : (2 n,) [m], then [rad]; residual of the model.
+    """
+    ends = np.append(wheels.start, wheels.end[-1]) - rows.clock
+    noise = [np.diff(_wheel_noise(part, rows, ends)) for part in both_kinds(residual, rows.n)]
+    return replace(wheels, distance=wheels.distance + noise[0], turn=wheels.turn + noise[1])
+
+
+def _wheel_noise(residual: Floats, rows: OdometryRows, ends: Floats) -> Floats:
+    """Return the accumulated noise of the wheels at the ends of the increments, from a residual (n,)."""
+    part = np.where(rows.valid, clipped(residual, rows.valid, EVIDENCE.clip_limit, 1e-12), 0.0)
+    period = float(np.median(np.diff(rows.stamps)))
+    walk, level = _variances(part, period)
+    smooth = _smoothed_walk(np.cumsum(part), max(walk / level, MIN_RATIO))
+    return np.asarray(np.interp(ends, rows.stamps, smooth))
+
+
+def _smoothed_walk(total: Floats, ratio: float) -> Floats:
+    """Return the smoothed walk x (n,) in a sum `total` (n,).
+
+        minimise  |total - x|² + |diff x|² / ratio
+
+    Parameters
+    ----------
+    ratio : Variance of one step of the walk over that of the noise of the level.
+    """
+    bands = np.full((2, len(total)), -1.0 / ratio)
+    bands[1] = 1.0 + 2.0 / ratio
+    bands[1, [0, -1]] = 1.0 + 1.0 / ratio
+    bands[0, 0] = 0.0
+    return np.asarray(solveh_banded(bands, total))
+
+
+def _variances(residual: Floats, period: float) -> tuple[float, float]:
+    """Return the variances of one step of the walk and of the noise of the level.
+
+        walk = (block - single) / (k - 2/3),   level = (single - 2/3 walk) / 2
+
+    single and block are the mean squares of rows and of sums over k rows. Such a sum grows with the walk
+    only.
+    """
+    k = max(round(EVIDENCE.cluster / period), 2)
+    n = max(len(residual) // k, 1)
+    single = float(np.mean(residual**2)) + 1e-18
+    block = float(np.mean(residual[: n * k].reshape(n, -1).sum(axis=1) ** 2))
+    walk = float(np.clip((block - single) / (k - 2 / 3), 0.0, 1.5 * single))
+    return walk, max((single - 2 / 3 * walk) / 2, 1e-18)

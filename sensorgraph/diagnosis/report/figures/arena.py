@@ -1,4 +1,7 @@
-"""Draw the arena from above: end points of measured rays, coloured by residual, before and after the amendment."""
+"""Draw the arena from above: end points of measured rays, coloured by residual, before and after the amendment.
+
+Another picture shows the path of the next run.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
-from sensorgraph.diagnosis.report.places import point_of, wall_sections
 from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.effects import Amendment
 from sensorgraph.show.figures.style import (
@@ -32,6 +35,8 @@ LOST_SHARE = 0.003
 """Share of missing returns above which they are drawn; a careful setup loses one return in a thousand."""
 MIN_SHIFT = 1e-3
 """[m] minimum shift along its normal of a wall that is drawn as moved."""
+MAX_ROUTE_POINTS, MAX_STROKES = 2000, 150
+"""Numbers of path points and of heading strokes in the picture."""
 
 
 def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None:
@@ -200,3 +205,58 @@ def _label(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: st
         bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.85},
         arrowprops={"arrowstyle": "-", "color": ALARM, "lw": 0.8},
     )  # fmt: skip
+
+
+def marks(finding: Finding) -> list[tuple[str, tuple[float, float]]]:
+    """Return label and point (x, y) [m, map] of every effect, and of an unexplained difference, that has a place."""
+    out = [(a.effect.title, xy) for a in finding.effects if (xy := point_of(a)) is not None]
+    unknown = finding.unknown
+    if unknown is not None and unknown.deviation is not None and unknown.deviation.xy is not None:
+        out.append(("unknown", unknown.deviation.xy))
+    return out
+
+
+def point_of(a: Amendment) -> tuple[float, float] | None:
+    """Return the point (x, y) [m, map] of an effect, if it has one."""
+    if a.effect.place == "spot" and {"x", "y"} <= set(a.parameters):
+        return float(a["x"]), float(a["y"])
+    return None if a.location is None else a.location.xy
+
+
+def wall_sections(arena: Arena, a: Amendment) -> list[Floats]:
+    """Return the walls, or the part of a wall, of an effect; each (2, 2) [m]."""
+    pairs = zip(arena.names, arena.walls, strict=True)
+    chosen = [wall for name, wall in pairs if a.place and a.place in (name, name.rsplit("/", 1)[0])]
+    if len(chosen) == 1 and {"a", "b"} <= set(a.parameters):
+        first, last = chosen[0]
+        direction = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)
+        return [np.stack([first + a["a"] * direction, first + a["b"] * direction])]
+    return chosen
+
+
+def next_run_picture(poses: Floats, arena: Arena, path: Path) -> None:
+    """Draw the path (n, 3) [m, m, rad] of the next run in the arena, coloured by time."""
+    from matplotlib.collections import LineCollection
+
+    x0, y0, x1, y1 = arena.bounds
+    aspect = float(np.clip((y1 - y0) / max(x1 - x0, 1e-9), 0.2, 3.0))
+    wide = min(6.0, 5.5 / aspect)
+    figure = new_figure(wide + 1.2, wide * aspect + 0.8)
+    axes = figure.subplots()
+    draw_floor(axes, arena)
+    moved = np.concatenate([[True], np.hypot(*np.diff(poses[:, :2], axis=0).T) > 1e-4])
+    way = poses[moved][:: max(1, int(moved.sum()) // MAX_ROUTE_POINTS), :2]
+    share = np.linspace(0, 1, max(len(way) - 1, 1))
+    pieces = list(np.stack([way[:-1], way[1:]], axis=1))
+    line = LineCollection(pieces, array=share[: len(pieces)], cmap="viridis", linewidths=1.4, zorder=3)
+    axes.add_collection(line)
+    some = poses[:: max(1, len(poses) // MAX_STROKES)]
+    axes.quiver(
+        some[:, 0], some[:, 1], np.cos(some[:, 2]), np.sin(some[:, 2]), np.linspace(0, 1, len(some)),
+        cmap="viridis", scale=22, width=0.003, headwidth=0, headlength=0, headaxislength=0, zorder=4,
+    )  # fmt: skip
+    axes.plot(*poses[0, :2], "o", ms=8, mfc="white", mec=ALARM, mew=2.0, zorder=6)
+    axes.set_title(
+        "start: ring; time: dark to bright; strokes: heading of the robot", fontsize=9, color=INK, loc="left"
+    )
+    save_figure(figure, path)

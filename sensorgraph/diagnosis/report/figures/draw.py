@@ -8,12 +8,10 @@ from pathlib import Path
 
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans
-from sensorgraph.diagnosis.report.figures.arena import arena_picture
+from sensorgraph.diagnosis.report.figures.arena import arena_picture, next_run_picture
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.figures.gap import gap_picture
-from sensorgraph.diagnosis.report.figures.next_run import next_run_picture
-from sensorgraph.diagnosis.report.figures.profile import profile_picture
-from sensorgraph.diagnosis.report.figures.residuals import residuals_picture
+from sensorgraph.diagnosis.report.figures.residuals import profile_picture, residuals_picture
 from sensorgraph.diagnosis.result import Gap
 
 

@@ -1,4 +1,7 @@
-"""Draw residuals of the bare simulator over bearing, range, incidence, time, turn rate and speed."""
+"""Draw residuals of the bare simulator over bearing, range, incidence, time, turn rate and speed.
+
+An error of the laser over bearing or range has a figure of its own.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
-from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.result import ChannelResult, Profile
 from sensorgraph.show.figures.style import (
     ALARM,
     INK,
@@ -115,3 +118,23 @@ def _values(model: SimulatedScans, measure: Measure, sigma: float) -> Floats:
     if measure is Measure.SCATTER:
         return np.asarray(np.abs(model.clipped(sigma)) / model.sigma / np.sqrt(2 / np.pi))
     return np.where(model.clear, 100.0 * model.unexpected, np.nan)
+
+
+def profile_picture(profile: Profile, path: Path) -> None:
+    """Draw the error with its band of two standard errors."""
+    is_bearing = profile.over == "bearing"
+    at = np.degrees(profile.at) if is_bearing else np.array(profile.at)
+    scale, label = (
+        (180 / np.pi, "bearing error [°]") if profile.of == "bearing" else (100.0, "error of readings [cm]")
+    )
+    error, band = scale * np.array(profile.error), scale * BAND_STDERRS * np.array(profile.stderr)
+    figure = new_figure(7.0, 2.6)
+    axes = figure.add_subplot()
+    axes.axhline(0.0, color=SOFT, lw=0.7, zorder=0)
+    axes.fill_between(at, error - band, error + band, color=ALARM, alpha=0.18, lw=0)
+    axes.plot(at, error, color=ALARM, lw=1.4, marker="o", ms=3)
+    axes.set_xlabel("bearing [°]" if is_bearing else "range [m]", fontsize=8.5, color=INK)
+    axes.set_ylabel(label, fontsize=8.5, color=INK)
+    axes.tick_params(labelsize=7)
+    reduce_frame(axes)
+    save_figure(figure, path)
