@@ -12,7 +12,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
 MIN_STAMPS = 20
-"""Minimum number of odometry stamps for a comparison."""
+"""Minimum number of odometry stamps, and of commands, for a comparison."""
 SAME_STAMP = 1e-6
 """[s] maximum difference between two stamps that count as one."""
 MIN_MOTION = 1e-3

@@ -88,12 +88,12 @@ class DrivableSpace:
         index = np.nonzero(roomy if roomy.any() else free.mask)
         return cls(arena=arena, robot=robot, barriers=barriers, reach=free, nodes=free.nodes(index))
 
-    def spread_places(self, n: int, rng: np.random.Generator) -> Floats:
-        """Return n places (n, 2) [m] far from each other, by farthest-point sampling."""
+    def spread_places(self, rng: np.random.Generator) -> Floats:
+        """Return N_PLACES places (n, 2) [m] far from each other, by farthest-point sampling."""
         nodes = self.nodes[rng.permutation(len(self.nodes))[:MAX_SPREAD_PLACES]]
         chosen = [nodes[0]]
         distance = np.hypot(*(nodes - nodes[0]).T)
-        while len(chosen) < min(n + 1, len(nodes)):
+        while len(chosen) < min(N_PLACES + 1, len(nodes)):
             chosen.append(nodes[int(distance.argmax())])
             distance = np.minimum(distance, np.hypot(*(nodes - chosen[-1]).T))
         return np.array(chosen[1:] or chosen)
@@ -105,7 +105,7 @@ class DrivableSpace:
 
 def candidate_motions(space: DrivableSpace, rng: np.random.Generator) -> list[CandidateMotion]:
     """List spins and sweeps at places in the whole room, and shuttles between them."""
-    places = space.spread_places(N_PLACES, rng)
+    places = space.spread_places(rng)
     out = [CandidateMotion(kind=MotionKind.SPIN, place=_xy(p), heading=0.0) for p in places]
     turn = float(rng.uniform(-np.pi, np.pi))
     for p in places:

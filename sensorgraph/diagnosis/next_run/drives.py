@@ -13,7 +13,6 @@ from planners.curve import Curve, CurveBuilder
 from planners.errors import PlanError
 from planners.joins.paths import connect
 from sensorgraph.diagnosis.next_run.candidate_motions import (
-    N_PLACES,
     SWEEP_ANGLE,
     CandidateMotion,
     DrivableSpace,
@@ -177,7 +176,7 @@ class DriveBuilder:
         space = self.space
         if space.are_clear(here[None], there[None])[0]:
             return np.array([here, there])
-        via = space.spread_places(N_PLACES, np.random.default_rng(self.seed))
+        via = space.spread_places(np.random.default_rng(self.seed))
         points = np.concatenate([here[None], there[None], via])
         i, j = np.triu_indices(len(points), 1)
         cost = np.hypot(*(points[j] - points[i]).T)

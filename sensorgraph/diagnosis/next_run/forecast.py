@@ -34,12 +34,8 @@ MAX_NATS_PER_RAY = 5.0
 """[nats] maximum evidence of a single ray."""
 LINEAR_SIGMAS = 4.0
 """Difference in standard deviations, up to which a ray counts by its linearised residual on any wall."""
-P_LOST = 2e-3
-"""Probability of a missing return or an outlier under any hypothesis."""
 MAX_RAYS = 46
 """Maximum number of rays of a scan that are cast; each represents an equal number of rays."""
-MAX_P_ALTERNATIVE = 2e-3
-"""Probability of reading the other side of a depth edge, above which a ray does not count."""
 DECIDED_NATS = 50.0
 """[nats] lead of an effect over its rival, above which the question is closed."""
 
@@ -235,8 +231,8 @@ def _weights(
     both = np.isfinite(truth.reading) & np.isfinite(expected.reading)
     off = np.where(both, np.where(both, truth.reading, 0.0) - np.where(both, expected.reading, 0.0), 0.0)
     p, q = _return_probability(truth, data), _return_probability(expected, data)
-    counts = expected.p_alternative <= MAX_P_ALTERNATIVE
-    counts &= truth.p_alternative <= MAX_P_ALTERNATIVE
+    counts = expected.p_alternative <= SCAN.likelihood.min_edge_chance
+    counts &= truth.p_alternative <= SCAN.likelihood.min_edge_chance
     near = same_wall | (np.abs(off) <= LINEAR_SIGMAS * sigma)
     small: Bools = solver.jacobian.valid & near & data.returned
     weight = np.where(small & counts, p / sigma**2, 0.0)
@@ -249,7 +245,7 @@ def _weights(
 
 def _return_probability(expected: ExpectedReadings, data: ScanData) -> Floats:
     """Return the probability of a return (n_scans, n_rays), limited away from 0 and 1."""
-    p_lost = P_LOST
+    p_lost = SCAN.noise.loss[1]
     aimed = np.isfinite(expected.reading)
     margin = data.sensor.range_max - np.where(aimed, expected.reading, 1e9)
     chance = expected.p_return * ndtr(margin / expected.sigma)

@@ -24,8 +24,6 @@ CLIP_SIGMAS = 10.0
 """Standard deviations at which residuals are clipped before averaging."""
 MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)
 """Magnifications of residuals in pictures."""
-MIN_RAYS = 40
-"""Minimum number of rays for a mean."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,7 +199,7 @@ class ComparedScans:
         n = np.bincount(group, minlength=size)[:-1].reshape(n_blocks, count)
         s = np.bincount(group, np.where(ok, values, 0.0).ravel(), size)[:-1].reshape(n_blocks, count)
         rays = n.sum(axis=0)
-        mean = np.where(rays >= MIN_RAYS, s.sum(axis=0) / np.maximum(rays, 1), np.nan)
+        mean = np.where(rays >= SCAN.goodness_of_fit.min_rays, s.sum(axis=0) / np.maximum(rays, 1), np.nan)
         scatter = np.sqrt(((s - np.nan_to_num(mean) * n) ** 2).sum(axis=0))
         return mean, scatter / np.maximum(rays, 1)
 

@@ -23,9 +23,6 @@ from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
 
-N_SCANS = 40
-"""Number of scans that are cast for the consequence of an effect."""
-
 
 def effect_entries(
     data: ScanData,
@@ -44,7 +41,7 @@ def effect_entries(
     chances : Probability that each effect is material.
     threshold : [nats] Evidence that a name requires.
     """
-    few = thin(data, max(1, data.n_scans // N_SCANS))
+    few = thin(data, max(1, data.n_scans // SCAN.sweep.n_scans))
     model = explained.final.model
     whole = cast(few, model)
     out = []

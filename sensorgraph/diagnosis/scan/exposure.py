@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
 from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.normal_equations import boxed
@@ -91,10 +92,10 @@ class RunExposure:
             for k in range(n, n + columns.shape[1])
         ]
 
-    def nats_alone(self, effect: Effect, times: float) -> float:
-        """Return the minimum evidence [nats] over the parameters of a smooth effect at `times` its materiality."""
+    def nats_alone(self, effect: Effect) -> float:
+        """Return the minimum evidence [nats] over the parameters of a smooth effect at OBSERVABLE_SIZE materialities."""
         columns = columns_of(self.data, self.fitted, effect.at_neutral())
-        typical = effect.typical(times)
+        typical = effect.typical(OBSERVABLE_SIZE)
         sizes = [typical[name] for name in effect.steps]
         return min(
             self.nats_of_columns(columns[:, k : k + 1], size)[0] for k, size in enumerate(sizes) if size

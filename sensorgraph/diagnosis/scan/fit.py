@@ -170,9 +170,9 @@ def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int
     return out
 
 
-def solver_for(data: ScanData, model: Sequence[Amendment], at: Cast | None = None) -> tuple[Solver, Cast]:
+def solver_for(data: ScanData, model: Sequence[Amendment]) -> tuple[Solver, Cast]:
     """Cast the scene, and differentiate by the effects' smooth parameters."""
-    at = cast(data, model) if at is None else at
+    at = cast(data, model)
     corners = corners_of(data)
     quotients = [q for index in range(len(model)) for q in _difference_quotients(data, model, index, at)]
     shape = at.expected.reading.shape

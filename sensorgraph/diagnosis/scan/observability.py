@@ -110,7 +110,7 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
         )
     for effect in EFFECTS.values():
         if effect.has_own_columns and effect.sizes and effect.name not in exposure.fitted.names():
-            nats_alone, need = exposure.nats_alone(effect, OBSERVABLE_SIZE), exposure.need_of(effect)
+            nats_alone, need = exposure.nats_alone(effect), exposure.need_of(effect)
             if nats_alone < need:
                 out[effect.name] = (
                     f"{_lacks(effect, exposure)}; at {OBSERVABLE_SIZE:g} times its materiality, {falls_short(nats_alone, need)}"

@@ -263,7 +263,7 @@ class SweepSettings:
     """Values that effects request to be cast (`propose`); `sensorgraph.effects.proposals` has the limits of proposals."""
 
     n_scans: int = 40
-    """Number of scans on which values are cast."""
+    """Number of scans on which values are cast, and effects for their consequence."""
     max_core: float = 1.1
     """Scale of the noise above which nominal noise is used, because the estimate may have absorbed the
     effect."""

@@ -15,9 +15,7 @@ from sensorgraph.effects.range_scale import RANGE_SCALE
 from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
-
-USUAL_BASE = 0.4
-"""[m] wheelbase of a robot without a robot.yaml; only used for the materiality of the heading bias."""
+from sensorgraph.world.robot import Wheels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +65,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         title="heading bias",
         unit="°/m",
         factor=float(np.degrees(1.0)),
-        materiality=_material(WHEEL_RADIUS_DIFF, 0) / USUAL_BASE,
+        materiality=_material(WHEEL_RADIUS_DIFF, 0) / Wheels().base,
         causes="pressure loss or wear of one tyre, or a load on one side",
     ),
     "mount_x": Quantity(

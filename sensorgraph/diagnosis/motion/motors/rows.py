@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.run import Run
-from sensorgraph.diagnosis.motion.increments import MIN_MOTION, ChannelSkippedError, WheelIncrements
+from sensorgraph.diagnosis.motion.increments import (
+    MIN_MOTION,
+    MIN_STAMPS,
+    ChannelSkippedError,
+    WheelIncrements,
+)
 from sensorgraph.diagnosis.motion.regression import Rows
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.model import clock_sigma
@@ -22,8 +27,6 @@ MIN_CLOCK_OFFSET = 0.004
 """[s] minimum offset between the clocks of odometry and reference that is corrected."""
 MAX_CLOCK_ERROR = 0.01
 """[s] upper limit of the standard error of that offset."""
-MIN_COMMANDS = 20
-"""Minimum number of commands; with fewer, the channel is skipped."""
 MIN_ROWS = 100
 """Minimum number of rows; with fewer, the channel is skipped."""
 
@@ -54,8 +57,8 @@ def commands_of(run: Run) -> CommandSignal:
     n = len(run.commands)
     good = np.isfinite(run.commands).all(axis=1) if n else np.zeros(0, dtype=np.bool_)
     stamps, values = run.cmd_stamps[good], run.commands[good]
-    if len(stamps) < MIN_COMMANDS:
-        raise ChannelSkippedError(f"this run has {len(stamps)} commands, expected at least {MIN_COMMANDS}")
+    if len(stamps) < MIN_STAMPS:
+        raise ChannelSkippedError(f"this run has {len(stamps)} commands, expected at least {MIN_STAMPS}")
     if np.ptp(values, axis=0).max() < MIN_MOTION:
         raise ChannelSkippedError("the commands of this run never change")
     return CommandSignal(stamps=stamps, values=values)

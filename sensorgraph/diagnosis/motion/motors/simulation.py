@@ -16,6 +16,7 @@ from enum import Enum
 import numpy as np
 
 from planners.kernel import kernel
+from sensorgraph.diagnosis.motion.increments import SAME_STAMP
 from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
 from sensorgraph.types import Floats
 
@@ -24,8 +25,6 @@ STEP = 0.01
 MAX_KNOWN = 6
 """Number of simulated drives that are cached. A fit needs each of them three times in a row; two hours take
 12 MB at a step of 10 ms."""
-AT_ONCE = 1e-6
-"""[s] time constant below which the response is immediate."""
 SLEW_MARGIN = 1.02
 """Acceleration of the plain lag above which the limit is simulated, as a multiple of the robot's."""
 
@@ -140,7 +139,7 @@ class MotorSimulation:
         held : (n_steps, 2) Commands that hold in each step.
         """
         held = np.column_stack([np.clip(held[:, 0], -motors.v_max, motors.v_max), held[:, 1]])
-        keep = float(np.exp(-STEP / motors.tau)) if motors.tau > AT_ONCE else 0.0
+        keep = float(np.exp(-STEP / motors.tau)) if motors.tau > SAME_STAMP else 0.0
         if self.limit is AccelerationLimit.SET_POINT:
             held = np.stack(
                 [
@@ -154,7 +153,7 @@ class MotorSimulation:
             for i, most in enumerate(self.slew):
                 if np.abs(np.diff(speed[:, i])).max(initial=0.0) > SLEW_MARGIN * most * STEP:
                     speed[:, i] = _with_limited_change(held[:, i].copy(), keep, most * STEP)
-        if motors.second > AT_ONCE:
+        if motors.second > SAME_STAMP:
             again = float(np.exp(-STEP / motors.second))
             speed = _lagged((1 - again) * speed, again)
         # speed[k] is reached at the end of step k

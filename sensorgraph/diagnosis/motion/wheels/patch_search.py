@@ -17,6 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
+from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheels.model import RADIUS_RANGE, SlipPatch, WheelModel
@@ -30,16 +31,12 @@ MAX_VALUES = 1_000_000
 TAILS = 3
 """Degrees of freedom of the proposals: heavy tails, so that no weight is unbounded."""
 LEAST_EFFECTIVE = 20
-"""Number of effective samples from which a proposal is estimated."""
-MIN_POSITIONS = 20
-"""Minimum number of increments that move; with fewer, no patch is searched."""
+"""Minimum number of increments that move, and of effective samples from which a proposal is estimated."""
 RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
 """[m] radii that are tried."""
 MIN_INFORMATION = 400.0
 """[1] minimum inverse variance of the lost share, for 5 % standard error; with less, the robot hardly
 crossed the disc."""
-MIN_MOVING = 1e-3
-"""[m] minimum length of an increment that moves."""
 CELL = 0.15
 """[m] distance between the centres that are tried."""
 MAX_CENTRES = 250
@@ -60,9 +57,9 @@ def best_patch(
     Either each wheel slips at its own place, or the body slips as a whole: the more likely of the two. The
     result is None if the robot hardly moved.
     """
-    is_moving = np.abs(model.wheels.distance) > MIN_MOVING
+    is_moving = np.abs(model.wheels.distance) > MIN_MOTION
     positions = model.rows.increment_poses[is_moving, :2]
-    if len(positions) < MIN_POSITIONS:
+    if len(positions) < LEAST_EFFECTIVE:
         return None
     cells = np.unique(np.round(positions / CELL).astype(np.intp), axis=0)
     if len(cells) > MAX_CENTRES:
