@@ -12,7 +12,6 @@ from benchmarks.planted_site import scans_alone
 from planners.types import Floats
 from sensorgraph.diagnosis.result import ChannelResult, Rival, without_close_calls
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.ranking import ranked
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.spread_evidence import evidence, parts_of_way, spread_evidence
@@ -69,17 +68,6 @@ def test_a_robot_that_stands_stays_in_one_part(null: Fitted) -> None:
     unjudged = data.ranges.copy()
     unjudged[:80] = np.nan  # half of the run says nothing: all parts are of the other half
     assert (parts_of_way(replace(data, ranges=unjudged))[:80] == 0).all()
-
-
-def test_what_clutter_brings_does_not_choose_between_two_that_stand_out_of_it(null: Fitted) -> None:
-    data = site_of(null)
-    nats = np.full(data.n_scans, 1.0)
-    bias, hidden = better_by(null, nats, BIAS), better_by(null, 5 * nats, OCCLUSION)
-    tried = [(bias, 160.0), (hidden, 5 * 160.0 - 400.0 - 300.0)]
-    assert ranked(replace(data, clutter_nats={}), tried, 12.0)[0][0] is bias
-    assert ranked(data, tried, 12.0)[0][0] is hidden
-    unseen = [(bias, 160.0), (hidden, 5.0)]  # within what clutter brings
-    assert ranked(data, unseen, 12.0)[0][0] is bias
 
 
 def test_a_lead_that_clutter_may_bring_does_not_choose() -> None:

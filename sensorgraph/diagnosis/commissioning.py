@@ -264,12 +264,12 @@ def mean_of(shown: Sequence[Sequence[Amendment]]) -> tuple[Amendment, ...]:
 
 
 def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
-    """Return bounds of the noise: its range over the windows of a known-good run, slightly widened."""
-    site, noises = SCAN.site, [f.state.noise for f in fits]
+    """Return bounds of the noise: slightly above the most in the windows of a known-good run; less is not an effect."""
 
     def span(name: str) -> tuple[float, float]:
-        values = [float(getattr(noise, name)) for noise in noises]
-        return max(min(values) / site.noise_fall, site.min_noise[name]), max(values) * site.noise_rise
+        low, _ = getattr(SCAN.site.wide_noise, name)
+        most = max(float(getattr(f.state.noise, name)) for f in fits)
+        return low, most * SCAN.site.noise_rise
 
     return NoiseBounds(
         core=span("core"), tail=span("tail"), loss=span("loss"), stray=span("stray"), max_scale=1.0

@@ -9,7 +9,6 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.wheels.reference_structure import BENT_REFERENCE
 from sensorgraph.diagnosis.result import ChannelResult, Gap
-from sensorgraph.diagnosis.scan.clutter_rivals import local_rival
 from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.fit import fit, start_state
@@ -122,13 +121,6 @@ def judge(
     found = doubt_of_scatter(found, explained, train) if baseline is None else baseline.discount(found, train)
     listed = deviations(FitResiduals(train, null))[: settings.max_listed]
     names = name_scan_effects(train, explained, found, listed)
-    if baseline is not None:
-        echoes = {
-            i
-            for i, a in enumerate(final.model)
-            if a in names.accepted and local_rival(final, i, baseline.noise_bounds)
-        }
-        names = name_scan_effects(train, explained, found, listed, echoes=echoes) if echoes else names
     if not found.is_doubted and (told := told_by_tolerances(final, found)) is not None:
         found = told if baseline is None else baseline.discount(told, train)
         names = name_scan_effects(train, explained, found, listed)

@@ -7,14 +7,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, WindowEstimate, baseline_intervals
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
 
@@ -48,7 +46,7 @@ class SiteBaseline:
         first = self.runs[0][0][0]
         windows = self.similar_windows(first.n_scans)
         intervals = baseline_intervals(windows)
-        clutter = self.clutter_nats(windows, intervals, first.n_scans, first.n_readings)
+        clutter = self.clutter_nats(windows, intervals, first.n_readings)
         bounds = self.noise_bounds
         return {
             "run": name,
@@ -86,65 +84,27 @@ class SiteBaseline:
         self,
         windows: Sequence[WindowEstimate],
         intervals: Mapping[str, BaselineInterval],
-        n_scans: int,
         n_readings: int,
     ) -> dict[str, float]:
         """Return the evidence [nats] that clutter may give to each effect in a run of this length.
 
-        Smooth whole-sensor effects with a baseline interval are omitted: the interval is the sharper test. An
-        effect that no known-good run proposed may be proposed in the next run. If clutter gave other effects
-        more evidence than a name needs, such an effect gets the smallest of these values.
+        Smooth whole-sensor effects with a baseline interval are omitted: the interval is the sharper test.
         """
-        nats = {
+        return {
             name: most
             for name, most in self._most_nats(windows, n_readings).items()
             if not _has_sharper_test(name, intervals)
         }
-        least = min((n for n in nats.values() if n > SCAN.selection.threshold), default=0.0)
-        if least == 0.0:
-            return nats
-        looked_for = [
-            name
-            for name, effect in EFFECTS.items()
-            if effect.channel == "scan" and not _has_sharper_test(name, intervals)
-        ]
-        return {**dict.fromkeys(looked_for, least), **nats}
 
     def _most_nats(self, windows: Sequence[WindowEstimate], n_readings: int) -> dict[str, float]:
         """Return the evidence [nats] that clutter may give to each effect in a run with this number of readings."""
-        gained: dict[str, list[float]] = {}
+        factor = SCAN.site.clutter_factor_of_one if self.n_runs == 1 else SCAN.site.clutter_factor
+        most: dict[str, float] = {}
         for w in windows:
             size = float(np.sqrt(n_readings / w.n_readings))
             for name, gain in w.gains.items():
-                gained.setdefault(name, []).append(gain if _is_local(name) else gain * size)
-        return {
-            name: max(values) * self._clutter_factor(name, np.array(values))
-            for name, values in gained.items()
-        }
-
-    def _clutter_factor(self, name: str, gained: Floats) -> float:
-        """Return the evidence that a name needs, divided by the largest evidence due to clutter.
-
-        It is larger if the windows differ much.
-
-        Parameters
-        ----------
-        gained : (n,) [nats] Evidence in each window in which clutter brought any.
-        """
-        site = SCAN.site
-        if self.n_runs == 1:
-            return site.local_clutter_factor if _is_local(name) else site.clutter_factor
-        if (
-            EFFECTS[name].place != "sector"
-        ):  # a run has many walls and spots, and its gain is that of the worst
-            return site.min_clutter_factor
-        if len(gained) < site.min_windows or gained.min() <= 0:
-            return site.clutter_factor
-        logs = np.log(gained)  # prediction interval of a further window
-        t = stdtrit(len(logs) - 1, site.confidence)
-        far = t * logs.std(ddof=1) * np.sqrt(1 + 1 / len(logs))
-        factor = np.exp(logs.mean() + far) / gained.max()
-        return float(np.clip(factor, site.min_clutter_factor, site.max_clutter_factor))
+                most[name] = max(most.get(name, 0.0), factor * gain * (1.0 if _is_local(name) else size))
+        return most
 
     def apply_to(self, data: ScanData) -> ScanData:
         """Return the data of a later run, prepared for comparison with this baseline.
@@ -153,7 +113,7 @@ class SiteBaseline:
         """
         windows = self.similar_windows(data.n_scans)
         intervals = baseline_intervals(windows)
-        floors = self.clutter_nats(windows, intervals, data.n_scans, data.ranges.size)
+        floors = self.clutter_nats(windows, intervals, data.ranges.size)
         clutter = {name: max(nats - SCAN.selection.threshold, 0.0) for name, nats in floors.items()}
         clutter |= dict.fromkeys(self.not_looked_for, float("inf"))
         leads = {
@@ -172,15 +132,13 @@ class SiteBaseline:
 
     def discount(self, fit: GoodnessOfFit, data: ScanData) -> GoodnessOfFit:
         """Remove unmodelled structure no larger than that of the known-good runs; keep only the excess misfit."""
-        site = SCAN.site
         windows = [w for cuts in self.runs for level in cuts[:2] for w in level]
         own = max(w.misfit / w.n_readings for w in windows) * data.ranges.size
         told = fit.told
         if told is not None:
-            beyond = told.misfit - site.misfit_factor * own
-            is_clear = told.threshold <= 0 or told.statistic > site.doubt_factor * told.threshold
-            if beyond > 0 and is_clear:
-                return replace(fit, told=replace(told, misfit=site.doubt_share * beyond))
+            beyond = told.misfit - SCAN.site.misfit_factor * own
+            if beyond > 0:
+                return replace(fit, told=replace(told, misfit=beyond))
         return replace(fit, told=None, failed=frozenset())
 
 

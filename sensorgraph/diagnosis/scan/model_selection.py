@@ -29,7 +29,6 @@ from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import is_same, least_gain, shortlist
-from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.diagnosis.scan.worth import price, worth
 from sensorgraph.effects import Amendment
@@ -79,7 +78,6 @@ def explain(
     """Search for at most `most` effects with sufficient evidence; each round has a progress bar."""
     search = EffectSearch(data, noise_bounds, threshold, progress)
     select(search, threshold=threshold, most=most)
-    search.remove_usual()
     current, gains, n = search.current, {}, len(search.current.model)
     with progress("weighing effects", "effects") as tick:
         for index in range(n):
@@ -210,16 +208,6 @@ class EffectSearch:
         gone = self.current.model[index]
         self._memory.struck.add((gone.name, gone.place))
         self._take(self._rests[index], model)
-
-    def remove_usual(self) -> None:
-        """Remove sensor effects that are within the known-good runs of the site, the last found first.
-
-        Next to a bias that exceeds the known-good runs, a drift within them would absorb half of it. A single effect is
-        kept, because it absorbs nothing of another one.
-        """
-        for index in range(len(self.current.model) - 1, -1, -1):
-            if len(self.current.model) > 1 and is_within_baseline(self.current, self.current.model[index]):
-                self._take(self.rest(index), [])
 
     def _take(self, fitted: Fitted, model: list[Amendment]) -> None:
         self.current, self._rests = fitted, {}

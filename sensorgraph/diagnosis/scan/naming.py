@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -68,8 +68,6 @@ def name_scan_effects(
     explained: Explained,
     fit: GoodnessOfFit,
     deviations: Sequence[Deviation],
-    *,
-    echoes: Set[int] = frozenset(),
 ) -> ScanNames:
     """Sort an accepted model into named effects, effects within tolerance, rivals and unmodelled structure.
 
@@ -79,7 +77,6 @@ def name_scan_effects(
     ----------
     fit : Goodness of fit of the accepted model.
     deviations : From the simulator without any effect.
-    echoes : Indices in the model of whole-sensor effects that only reflect something local.
     """
     final = explained.final
     complete = [
@@ -90,7 +87,7 @@ def name_scan_effects(
         )
         for index, amendment in enumerate(final.model)
     ]
-    why = [_why_small(explained, i, data, echoes) for i in range(len(final.model))]
+    why = [why_immaterial(final, a) for a in final.model]
     small = {i: objection for i, objection in enumerate(why) if objection is not None}
     material = set(range(len(final.model))) - set(small)
     # the mean error of a drifting reference is a rival as well
@@ -162,18 +159,6 @@ def located(amendment: Amendment, data: ScanData) -> Amendment:
         along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
         return amendment.at(amendment.place, start + along * (values["a"] + values["b"]) / 2)
     return amendment
-
-
-def _why_small(explained: Explained, index: int, data: ScanData, echoes: Set[int]) -> Objection | None:
-    """Return why an effect of the model is within tolerance; None if it is not."""
-    a = explained.final.model[index]
-    if index in echoes:
-        return Objection("echo_of_local", "it only reflects something local")
-    if objection := why_immaterial(explained.final, a):
-        return objection
-    if explained.gains[index] <= data.clutter_leads.get(a.name, 0.0):
-        return Objection("site_clutter", "the known-good runs of the site bring it as much evidence")
-    return None
 
 
 def is_material(fitted: Fitted, amendment: Amendment) -> bool:

@@ -8,8 +8,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
-from sensorgraph.diagnosis.scan.spread_evidence import is_of_sensor
+from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import why_not_absorbed
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
@@ -40,35 +39,13 @@ def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
     # possible clutter waits, because it would absorb the readings of other effects
     if any(gain >= threshold for _, gain in certain):
         order = certain
-    first = _at_known_site(data, order, threshold)
-    return [first, *(pair for pair in order if pair is not first)]
-
-
-def _at_known_site(data: ScanData, order: Tried, threshold: float) -> tuple[Fitted, float]:
-    """Return the effect to choose at a site with known-good runs.
-
-    The evidence that clutter may contribute to an effect of the sensor decides whether the effect is named.
-    It does not decide between two such effects, and is therefore added back here.
-    """
-
-    def whole(pair: tuple[Fitted, float]) -> float:
-        return pair[1] + clutter_floor(pair[0].model[-1], data)
-
-    if not _is_plain(order[0][0].model[-1]):
-        return order[0]
-    alike = [pair for pair in order if pair[1] >= threshold and _is_plain(pair[0].model[-1])]
-    return max(alike, key=whole, default=order[0])
+    return order
 
 
 def _may_be_clutter(pair: tuple[Fitted, float], data: ScanData) -> bool:
     """Return whether an object in the room may be clutter of the building."""
     amendment = pair[0].model[-1]
     return amendment.effect.place == "spot" and not surely_stands(amendment, data)
-
-
-def _is_plain(amendment: Amendment) -> bool:
-    """Return whether an effect belongs to the sensor and does not absorb residuals of other effects."""
-    return is_of_sensor(amendment) and not amendment.effect.absorber
 
 
 def _by_law(data: ScanData, order: Tried, threshold: float) -> Tried:

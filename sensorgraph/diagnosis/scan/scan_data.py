@@ -113,8 +113,8 @@ class ScanData:
     """Effect -> [nats] Additional evidence that its name requires at this site (see `commissioning`); inf:
     not searched for."""
     clutter_leads: Mapping[str, float] = field(default_factory=dict)
-    """Smooth effect of the whole sensor -> [nats] Evidence that clutter alone may contribute. An effect with
-    less is not named. A smaller lead does not decide against a rival that is also outside its own interval."""
+    """Smooth effect of the whole sensor -> [nats] Evidence that clutter alone may contribute. A smaller lead does
+    not decide against a rival that is also outside its own interval."""
     baseline_intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
     """Effect -> Sizes that fits to known-good runs of the site show."""
     memo: dict[bytes, object] = field(default_factory=dict)

@@ -15,7 +15,6 @@ logs with `python -m benchmarks.planted_effects`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -378,14 +377,10 @@ class SiteSettings:
     """Prior variation of a careful setup, relative to the materiality."""
     free_width: float = 1e3
     """[m, rad, s] Prior width of a free parameter."""
-    clutter_factor: float = 3.0
-    """Ratio of the evidence that a name requires to the largest evidence from clutter in one good run."""
-    local_clutter_factor: float = 2.0
-    """The same for effects at one place, of which a good run shows the worst of many."""
-    min_clutter_factor: float = 1.4
-    """Minimum of this ratio if several good runs show the spread of clutter."""
-    max_clutter_factor: float = 3.0
-    """Maximum of this ratio."""
+    clutter_factor: float = 1.4
+    """Ratio of the evidence that a name requires to the largest evidence from clutter in good runs."""
+    clutter_factor_of_one: float = 3.0
+    """The same if there is only one good run, which does not show the spread of clutter."""
     min_wall: float = 0.3
     """[m] Median length of walls below which a map is too fragmented for effects of whole walls and edges."""
     wide_noise: NoiseBounds = field(
@@ -394,20 +389,10 @@ class SiteSettings:
         )
     )
     """Bounds of the noise in a run that is known to be good."""
-    min_noise: Mapping[str, float] = field(
-        default_factory=lambda: {"core": 0.1, "tail": 0.001, "loss": 1e-4, "stray": 1e-4}
-    )
-    """Minimum of the lower noise bounds of later runs."""
     noise_rise: float = 1.15
     """Factor by which noise levels may exceed those of the good run."""
-    noise_fall: float = 2.0
-    """Factor by which they may be lower; less noise is not an effect."""
     misfit_factor: float = 3.0
     """Ratio of a misfit to that of the good run above which it may be reported as unknown."""
-    doubt_factor: float = 1.5
-    """Factor on the threshold of an unexplained residual, because clutter differs from day to day."""
-    doubt_share: float = 0.02
-    """Share of the misfit beyond that, which counts against names."""
     sector: float = float(np.radians(20.0))
     """[rad] Width of a sector of rays that meet the same objects."""
     inner_share: float = 0.7
