@@ -34,8 +34,7 @@ from sensorgraph.diagnosis.scan.site_clutter import surely_stands
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_tolerances
 from sensorgraph.diagnosis.scan.site_variation import single_effects
-from sensorgraph.diagnosis.scan.spread_evidence import must_be_spread, spread_evidence
-from sensorgraph.diagnosis.scan.worth import price
+from sensorgraph.diagnosis.scan.worth import must_be_spread, price, spread_evidence
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import EFFECTS, Amendment, quantisation

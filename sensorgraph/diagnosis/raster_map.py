@@ -32,17 +32,13 @@ LOOK_PAST = 3.0
 """[pixel] minimum distance from a border of unknown space to the wall behind it, for a ray to count as
 entering unknown space."""
 CELL = 0.2
-"""[m] cell size of the raster in which changes are grouped."""
+"""[m] cell size of the raster in which changes are grouped; no new object is detected within a cell from mapped walls."""
 MIN_OFF = 0.3
 """[m] minimum difference of a reading that shows a change of the building."""
-NEAR_WALL = 0.2
-"""[m] distance from mapped walls, within which no new object is detected."""
 MIN_SHARE = 0.001
 """Minimum share of the readings that a change must explain."""
 MAX_CHANGED = 1 / 3
 """Share of the readings, above which the cause is not a change of the building."""
-MIN_SCANS = 5
-"""Minimum number of scans that show a change."""
 MAX_SMALL = 0.6
 """[m] maximum size of a new object that a disc represents."""
 MIN_MIRRORED = 0.8
@@ -300,7 +296,7 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
     scan, ray = np.nonzero(some)
     points = _ends(seen.lasers, seen.data.sensor.bearings, scan, ray, r[scan, ray])
     if kind == "new":  # free-standing objects; near a mapped wall, the wall is the cause
-        clear = Barriers(seen.data.arena).distances(points) > NEAR_WALL
+        clear = Barriers(seen.data.arena).distances(points) > CELL
         scan, ray, points = scan[clear], ray[clear], points[clear]
     if not len(scan):
         return []
@@ -315,7 +311,7 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
     for k in range(1, n + 1):
         rays = label == k
         share = float(rays.sum()) / n_readings
-        if share < MIN_SHARE or len(np.unique(scan[rays])) < MIN_SCANS:
+        if share < MIN_SHARE or len(np.unique(scan[rays])) < SCAN.goodness_of_fit.min_odd_scans:
             continue
         fullest = np.unravel_index(np.where(labels == k, count, 0).argmax(), count.shape)
         if seen.share(kind, low + CELL * (np.array(fullest) + 0.5)) < MIN_SHOWN[kind]:

@@ -30,7 +30,7 @@ class EvidenceSettings:
     """Divisor of the evidence before it becomes a probability, since models are wrong in more ways than noise."""
     huber_limit: float = 3.0
     """Limit of Huber's loss, in standard deviations."""
-    clip_limit: float = 4.0
+    clip_limit: float = SCAN.goodness_of_fit.clip
     """Robust standard deviations at which a residual is clipped before its autocovariance is estimated."""
     cluster: float = 2.0
     """[s] within which errors may be correlated, beyond the whitening filter; over longer times, the reference is

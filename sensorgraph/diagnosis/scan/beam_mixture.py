@@ -33,7 +33,8 @@ EDGE_NEAR, EDGE_BETWEEN = 0.9, 0.1
 MIN_EDGE_STEP = 0.01
 """[m] minimum distance between the two sides of an edge."""
 MIN_SHORT_RANGE = 0.05
-"""[m] minimum range over which short readings are distributed."""
+"""[m] minimum range over which short readings are distributed, and of the nearer side of an edge: map and pose errors
+turn it by their size over the range."""
 LATTICE_SLACK = 0.51
 """Maximum distance of a reading from its lattice, in resolutions."""
 OFF_LATTICE = 1e-9

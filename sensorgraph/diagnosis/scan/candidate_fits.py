@@ -13,8 +13,7 @@ from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import least_gain
-from sensorgraph.diagnosis.scan.spread_evidence import evidence
-from sensorgraph.diagnosis.scan.worth import price, worth
+from sensorgraph.diagnosis.scan.worth import evidence, price, worth
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Progress
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from planners.kernel import kernel
+from sensorgraph.diagnosis.scan.beam_mixture import MIN_SHORT_RANGE
 from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -25,8 +26,6 @@ from sensorgraph.world.ray_order import is_full_turn, neighbouring_rays
 from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.likelihood
-MIN_END_RANGE = 0.05
-"""[m] minimum range of the nearer side of an edge, because map and pose errors turn it by their size over the range."""
 REACH = -float(ndtri(SETTINGS.min_edge_chance))
 """Number of blurs beyond which a ray is clear of an edge."""
 MAX_CORNERS = 1.5
@@ -72,7 +71,7 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     edge = _end_angle((ox, oy, ux, uy), walls, (scan, right), gap, beams.wall[scan, nearer], nearer == right)
     edge = np.where(np.isnan(edge), gap / 2, edge)
     turn, place = _blur(data.tolerances)
-    blur = np.hypot(turn, place / np.maximum(ranges[scan, nearer], MIN_END_RANGE))
+    blur = np.hypot(turn, place / np.maximum(ranges[scan, nearer], MIN_SHORT_RANGE))
     best = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     limits = (
         REACH,

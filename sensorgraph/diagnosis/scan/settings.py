@@ -324,7 +324,8 @@ class GoodnessOfFitSettings:
     """Minimum ratio of their gain to that of a replicate. The reference error within a sweep is known to a
     third of its size, and gains grow with its square."""
     min_odd_scans: int = 5
-    """Minimum number of scans away from their poses; fewer are single faults."""
+    """Minimum number of scans away from their poses, or of those that show a change of a map; fewer are single
+    faults."""
     min_share_of_gain: float = 0.003
     """Share of the model's gain below which a misfit is attributed to a correct but coarse model."""
     max_dispersion: float = 1.45
