@@ -18,8 +18,8 @@ from sensorgraph.diagnosis.motion.naming import name_motion_effects
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
+from sensorgraph.diagnosis.motion.wheels.rows import motion_signals
 from sensorgraph.diagnosis.motion.wheels.sideways import sideways_rows
-from sensorgraph.diagnosis.motion.wheels.signals import motion_signals
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.effects import EFFECTS
 

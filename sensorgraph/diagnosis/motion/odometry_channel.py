@@ -17,10 +17,9 @@ from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
 from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.report import odometry_result
-from sensorgraph.diagnosis.motion.wheels.rows import rows_at
+from sensorgraph.diagnosis.motion.wheels.rows import MotionSignals, motion_signals, rows_at
 from sensorgraph.diagnosis.motion.wheels.selection import select
 from sensorgraph.diagnosis.motion.wheels.sideways import sideways_structure
-from sensorgraph.diagnosis.motion.wheels.signals import MotionSignals, motion_signals
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.localization.locate import is_located
 from sensorgraph.types import Floats

@@ -16,11 +16,10 @@ from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corners import Corners
-from sensorgraph.diagnosis.scan.described_sensor import described_sensor
+from sensorgraph.diagnosis.scan.intake import described_sensor, thinned_out
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
 from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble, references_in_sweep
-from sensorgraph.diagnosis.scan.thinning import thinned_out
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
 from sensorgraph.effects.nuisance import POSE_LIKE

@@ -259,7 +259,7 @@ class SelectionSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSettings:
-    """Values that effects request to be cast (`propose`); `sensorgraph.effects.proposals` has the limits of proposals."""
+    """Values that effects request to be cast (`shortlist`); `sensorgraph.effects.proposals` has the limits of proposals."""
 
     n_scans: int = 40
     """Number of scans on which values are cast, and effects for their consequence."""

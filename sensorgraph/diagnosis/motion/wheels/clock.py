@@ -12,8 +12,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
 from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
-from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, rows_at
-from sensorgraph.diagnosis.motion.wheels.signals import MIN_ROWS, MotionSignals
+from sensorgraph.diagnosis.motion.wheels.rows import MIN_ROWS, MotionSignals, OdometryRows, rows_at
 from sensorgraph.types import Floats
 
 MAX_STEPS = 3

@@ -10,8 +10,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans
 from sensorgraph.diagnosis.report.figures.arena import arena_picture, next_run_picture
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
-from sensorgraph.diagnosis.report.figures.gap import gap_picture
-from sensorgraph.diagnosis.report.figures.residuals import profile_picture, residuals_picture
+from sensorgraph.diagnosis.report.figures.residuals import gap_picture, profile_picture, residuals_picture
 from sensorgraph.diagnosis.result import Gap
 
 

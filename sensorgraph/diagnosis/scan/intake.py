@@ -1,4 +1,4 @@
-"""The sensor of a run, as described by robot.yaml and the log."""
+"""The sensor of a run, as described by robot.yaml and the log, and the scans of a long run that are used."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ import numpy as np
 from logs.run import RangeSensor, Run
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.types import Bools
 from sensorgraph.world.described import completed
 from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.robot import Robot
+
+GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
 
 
 def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSensor:
@@ -61,3 +64,19 @@ def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSe
     mount = np.zeros(3) if is_laser_frame else described.mount
     sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
     return replace(described, mount=mount, sigma=float(sigma))
+
+
+def thinned_out(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
+    """Keep one in n of the usable scans of a long run; return them, and the number of scans left out.
+
+    One of each n successive scans is kept, at a position that changes by the golden ratio (Weyl 1916). At a
+    fixed position, every n-th scan could belong to the same facet of a mirror.
+    """
+    count = int(kept.sum())
+    step = min(-(-count * n_rays // SCAN.intake.max_readings), count // SCAN.intake.min_scans)
+    if step <= 1:
+        return kept, {}
+    some, group = np.zeros_like(kept), np.arange(count // step)
+    within = (step * (GOLDEN_RATIO * group % 1.0)).astype(np.intp)
+    some[np.flatnonzero(kept)[step * group + within]] = True
+    return some, {f"of a long run, of which one in {step} is used": count - int(some.sum())}
