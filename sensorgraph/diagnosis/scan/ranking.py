@@ -1,38 +1,30 @@
-"""Rank the effects that were tried: by evidence, and by the laws of their readings if these decide."""
+"""Rank the effects that were tried by evidence; at a known site, what may be clutter comes last."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import surely_stands
-from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import why_not_absorbed
-from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools
 
-Tried = list[tuple[Fitted, float]]
-"""Fits, each with the gain [nats] of the last effect in its model."""
 
-
-def n_parameters(amendment: Amendment) -> int:
-    """Return the number of parameters of an effect that count for the complexity penalty."""
-    effect = amendment.effect
-    counted = [v != 0.0 or not effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()]
-    return max(sum(counted), 1)
-
-
-def ranked(data: ScanData, tried: Tried, threshold: float) -> Tried:
-    """Return the tried effects in order of preference.
+def ranked(
+    data: ScanData, tried: Sequence[tuple[Fitted, float]], threshold: float
+) -> list[tuple[Fitted, float]]:
+    """Return the tried effects in order of their evidence; at a known site, possible clutter comes only if nothing else does.
 
     Parameters
     ----------
+    tried : Fits, each with the gain [nats] of the last effect in its model.
     threshold : [nats] Evidence that a name requires.
     """
-    order = _by_law(data, sorted(without_ends(data, tried), key=lambda pair: -pair[1]), threshold)
+    order = sorted(without_ends(data, tried), key=lambda pair: -pair[1])
     if not data.clutter_nats:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
@@ -48,31 +40,7 @@ def _may_be_clutter(pair: tuple[Fitted, float], data: ScanData) -> bool:
     return amendment.effect.place == "spot" and not surely_stands(amendment, data)
 
 
-def _by_law(data: ScanData, order: Tried, threshold: float) -> Tried:
-    """Decide between people and outliers with nearly the same gain by the properties of their readings."""
-    best, gain = order[0]
-    absorber = best.model[-1].effect
-    if not absorber.diagnostics.explains:
-        return order
-    rivals = [
-        pair
-        for pair in order[1:]
-        if (other := pair[0].model[-1].effect) is not absorber
-        and other.diagnostics.explains
-        and pair[1] >= max(threshold, gain - threshold)
-    ]
-    if not rivals or _keeps_its_law(data, best):
-        return order
-    first = next((pair for pair in rivals if _keeps_its_law(data, pair[0])), order[0])
-    return [first, *(one for one in order if one is not first)]
-
-
-def _keeps_its_law(data: ScanData, fitted: Fitted) -> bool:
-    """Return whether the readings that the last effect absorbs have the properties of that effect."""
-    return not why_not_absorbed(FitResiduals(data, fitted), fitted.model[-1])[0]
-
-
-def without_ends(data: ScanData, tried: Tried) -> Tried:
+def without_ends(data: ScanData, tried: Sequence[tuple[Fitted, float]]) -> Sequence[tuple[Fitted, float]]:
     """Compare panes, mirrors and black parts of one wall on the rays that clearly meet or clearly miss them.
 
     A ray near an end may be on either side of it. That costs an effect with certain loss more likelihood than

@@ -245,9 +245,6 @@ class SelectionSettings:
     """Number of scans on which all candidates are fitted."""
     n_readings: int = 50_000
     """Maximum number of readings of these scans: lasers of many rays need fewer scans."""
-    min_expected_gain: float = 3.5
-    """[nats] Minimum expected gain of a smooth effect that is fitted; bounds on the nuisances hide a part of
-    it."""
     searched_share: float = 0.2
     """Share of the best gain below which the parameters of a candidate are not searched."""
     same_gain: float = 0.8

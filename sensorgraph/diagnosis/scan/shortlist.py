@@ -40,7 +40,7 @@ def shortlist(
     memory : Gains expected in the bare model are stored there, and dropped when they change.
     """
     smooth = smooth_candidates(data, current)
-    sharp = [c for c in smooth if c.gain > SCAN.selection.min_expected_gain]
+    sharp = [c for c in smooth if c.gain > PROPOSAL.min_gain]
     rough = proposed_candidates(FitResiduals(data, current))
     if data.clutter_nats:
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))

@@ -25,7 +25,6 @@ from scipy.special import bdtrc
 
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
-from sensorgraph.diagnosis.scan.ranking import n_parameters
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_clutter import clutter_floor
@@ -48,6 +47,13 @@ def price(amendment: Amendment, data: ScanData) -> float:
         places = len(np.unique(sensor_of_rays(data.sensor)))
     paid = SCAN.selection.price * n_parameters(amendment) + float(np.log(max(places, 1)))
     return paid + clutter_floor(amendment, data)
+
+
+def n_parameters(amendment: Amendment) -> int:
+    """Return the number of parameters of an effect that count for the complexity penalty."""
+    effect = amendment.effect
+    counted = [v != 0.0 or not effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items()]
+    return max(sum(counted), 1)
 
 
 def evidence(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -> float:
