@@ -28,7 +28,7 @@ class FaultLimits:
     """[m] Smallest jump, with turns as distances (6°); shorter ones are slip, or noise of the stamps."""
     timing: float = 3.0
     """Duration of a step, relative to that by its stamps, at most: stamps scatter where messages arrive late."""
-    share: float = 0.1
+    share: float = 0.03
     """Maximum share of wrong poses; more are noise, or another publisher."""
     repeats: int = 2
     """Minimum median number of equal poses in a row of odometry that is published more often than it is measured ..."""
