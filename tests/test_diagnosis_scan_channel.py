@@ -13,6 +13,7 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Unknown
 from sensorgraph.diagnosis.scan import naming
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, told_by_tolerances
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
@@ -88,3 +89,21 @@ def test_without_a_robot_file_nothing_is_stated_and_the_height_is_the_logs() -> 
     run = drive(hall_arena(), n=60)
     robot = robot_for(replace(run, sensor=replace(run.sensor, height=0.45)))
     assert robot.sensor.height == 0.45 and robot.stated == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("scale", "has_effect", "is_told"),
+    [(2.3, True, True), (1.8, True, False), (2.3, False, False), (3.4, False, True)],
+)
+def test_a_map_that_must_be_twice_as_wide_beside_an_effect_is_told(
+    null: Fitted, scale: float, has_effect: bool, is_told: bool
+) -> None:
+    """The plan of a room that is longer along one side is a scale of the map to a part."""
+    model = (EFFECTS["map_scale"](s=0.008, dx=0.0, dy=0.0),) if has_effect else ()
+    state = replace(null.state, map_scale=scale)
+    stretched = replace(null, model=model, solution=replace(null.solution, state=state))
+    told = told_by_tolerances(stretched, GoodnessOfFit())
+    assert (told is not None) == is_told
+    if told is not None:
+        assert told.told is not None
+        assert f"the map would have to be {scale:.1f} times worse" in told.told.statement

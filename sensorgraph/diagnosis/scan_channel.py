@@ -12,7 +12,7 @@ from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
 from sensorgraph.diagnosis.scan.model_selection import Explained, explain
 from sensorgraph.diagnosis.scan.naming import ScanNames, located, name_scan_effects
@@ -121,6 +121,9 @@ def judge(
     found = doubt_of_scatter(found, explained, train) if baseline is None else baseline.discount(found, train)
     listed = deviations(FitResiduals(train, null))[: settings.max_listed]
     names = name_scan_effects(train, explained, found, listed)
+    if not found.is_doubted and (told := told_by_tolerances(final, found)) is not None:
+        found = told if baseline is None else baseline.discount(told, train)
+        names = name_scan_effects(train, explained, found, listed)
     return found, names
 
 

@@ -15,6 +15,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed import UNNAMED
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, sure
+from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import beyond_tolerances
 from sensorgraph.types import Progress
 
 
@@ -126,6 +127,21 @@ def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
     start = replace(state, pose_scale=1.0, map_scale=1.0)
     bounds = NoiseBounds(max_scale=SCAN.nuisance.stretched_scale)
     return wider, fit(wider, fitted.model, start, bounds, outer=1, inner=3)
+
+
+def told_by_tolerances(fitted: Fitted, found: GoodnessOfFit) -> GoodnessOfFit | None:
+    """Report tolerances of a fit that are far wider than specified; None if they are not.
+
+    Where effects explain much of the residuals, no other test would detect this. For example, a room that is longer than in
+    its plan is partly explained by a map scale, and its corners absorb the rest.
+    """
+    data, state, settings = fitted.solver.data, fitted.state, SCAN.goodness_of_fit
+    limit = settings.max_tolerance_scale_beside_effects if fitted.model else settings.max_tolerance_scale
+    scales = state.pose_scale, state.map_scale
+    doubts = sure(beyond_tolerances(*scales, data.tolerances, data.n_scans, limit))
+    if not doubts:
+        return None
+    return _told(max(doubts, key=lambda d: d.statistic), doubts, replace(found, failed=frozenset()))
 
 
 def _told(first: Doubt, doubts: Sequence[Doubt], rest: GoodnessOfFit) -> GoodnessOfFit:

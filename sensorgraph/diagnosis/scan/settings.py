@@ -331,6 +331,8 @@ class GoodnessOfFitSettings:
     """[nats] Minimum gain if an object is absent for one stretch of the run."""
     max_tolerance_scale: float = 3.2
     """Multiple of the nominal tolerances above which the setup differs from its description."""
+    max_tolerance_scale_beside_effects: float = 2.0
+    """The same with effects in the model, which explain a part of the difference."""
     outline_distance: float = 0.1
     """[m] Distance from mapped walls above which an obstacle is separate from them."""
     min_readings: int = 20

@@ -5,6 +5,7 @@ from __future__ import annotations
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
+from sensorgraph.world.robot import Tolerances
 
 POSE_CAUSES = (
     "a reference pose that is less accurate than specified: a poor calibration, a slow filter, lost markers",
@@ -23,12 +24,19 @@ def find(checked: Checked) -> list[Doubt]:
     poses = state.pose_scale * t.pose_xy / max(nominal.pose_xy, 1e-9)
     walls = state.map_scale * t.map / max(nominal.map, 1e-9)
     limit = SCAN.goodness_of_fit.max_tolerance_scale
+    return beyond_tolerances(poses, walls, nominal, view.data.n_scans, limit)
+
+
+def beyond_tolerances(
+    poses: float, walls: float, nominal: Tolerances, n_scans: int, limit: float
+) -> list[Doubt]:
+    """Return poses and walls; sure are those at least `limit` times worse than their tolerances."""
     return [
         Doubt(
             family=family,
             is_sure=bool(scale >= limit),
             statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
-            misfit=(scale - 1) * view.data.n_scans,
+            misfit=(scale - 1) * n_scans,
             statistic=scale,
             threshold=limit,
             size=ScanError(offset=scale * tolerance, affected=1.0),
