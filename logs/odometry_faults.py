@@ -28,7 +28,7 @@ class FaultLimits:
     """[m] Smallest jump, with turns as distances (6°); shorter ones are slip, or noise of the stamps."""
     timing: float = 3.0
     """Duration of a step, relative to that by its stamps, at most: stamps scatter where messages arrive late."""
-    share: float = 0.03
+    share: float = 0.1
     """Maximum share of wrong poses; more are noise, or another publisher."""
     repeats: int = 2
     """Minimum median number of equal poses in a row of odometry that is published more often than it is measured ..."""
@@ -84,7 +84,16 @@ def wrong_poses(
         found = first[continues & (off > np.maximum(most, faults.significance * noise))]
         wrong[index[found[:, None] + np.arange(1, length + 1)]] = True
     wrong = wrong & known
-    return wrong if wrong.sum() <= faults.share * known.sum() else np.zeros_like(wrong)
+    are_single = wrong.sum() <= faults.share * known.sum() and not _are_crowded(wrong)
+    return wrong if are_single else np.zeros_like(wrong)
+
+
+def _are_crowded(wrong: Bools) -> bool:
+    """Return whether somewhere fewer right poses lie between two groups of wrong ones than there are in the smaller group."""
+    sizes = np.diff(np.flatnonzero(np.diff(wrong, prepend=not wrong[0], append=not wrong[-1])))
+    groups, right = sizes[int(not wrong[0]) :: 2], sizes[int(wrong[0]) :: 2]
+    inner = right[int(not wrong[0]) :][: len(groups) - 1]
+    return bool((inner < np.minimum(groups[:-1], groups[1:])).any())
 
 
 def jumps(

@@ -9,7 +9,7 @@ import pytest
 from rosbag_samples import odometry, read, scan, transform
 
 from logs.motion import Motion
-from logs.odometry_faults import hung_poses, jumps, measured_poses, wrong_poses
+from logs.odometry_faults import _are_crowded, hung_poses, jumps, measured_poses, wrong_poses
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.missing_odometry import without_corrections
 
@@ -46,6 +46,20 @@ def test_poses_that_a_robot_can_have_are_left() -> None:
         assert not wrong_poses(T, poses).any()
         assert len(jumps(T, poses)) == 0
     assert not wrong_poses(T[:2], DRIVE[:2]).any() and len(jumps(T[:1], DRIVE[:1])) == 0
+
+
+@pytest.mark.parametrize(
+    ("groups", "crowded"),
+    [
+        ("_____x_x_____", False), ("___xx__xxx____", False), ("xxx___xxxx", False), ("xxx__xxx", True),
+        ("____xxxx_xxxx_xx___", True), ("xx_xxx____", True), ("__________", False), ("__xx", False),
+    ],
+)  # fmt: skip
+def test_groups_with_hardly_a_right_pose_between_them_are_no_single_faults(
+    groups: str, crowded: bool
+) -> None:
+    """As of odometry that was integrated with headings in another unit; without them it would have a gap."""
+    assert _are_crowded(np.array([one == "x" for one in groups])) is crowded
 
 
 @pytest.mark.parametrize("jump", [(0.3, -0.4, 0.0), (0.0, 0.0, 0.5)], ids=["place", "heading"])

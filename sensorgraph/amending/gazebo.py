@@ -36,7 +36,7 @@ def is_diff_drive(plugin: Node) -> bool:
 def choose(
     named: Sequence[tuple[str, Node]], laser: str | None, others: Iterable[str], file: str
 ) -> Node | None:
-    """Return the laser to amend among named ones; None if there is none.
+    """Return the laser to amend among named ones; None without one.
 
     Raises
     ------

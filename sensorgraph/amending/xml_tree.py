@@ -27,7 +27,7 @@ class Element:
     """Name -> span of the value between its quotes."""
     end: int = 0
     text: tuple[int, int] | None = None
-    """Span of the text without white space around it; None if there is none."""
+    """Span of the text without white space around it; None without text."""
     children: list[Element] = field(default_factory=list)
 
 

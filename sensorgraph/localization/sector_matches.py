@@ -1,6 +1,6 @@
 """Find the part of the rays that matches the others better at another time, however far it is off.
 
-Points of a part that is 0.2 s older lie decimetres beside those of the others, where no linearised residual sees them. So
+Points of a part that is 0.2 s older are decimetres from those of the others, where no linearised residual sees them. So
 points are counted: M[d, s, t] is the number of points of sector s, with its rays d later, in cells that have points of
 sector t from other frames. If a part b of the sectors is d later than the others, its count rises most:
 

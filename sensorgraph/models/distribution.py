@@ -38,7 +38,7 @@ class Mixture:
     widths: Floats
     """[m] Standard deviation of a reading from the surface."""
     sources: Ints
-    """Index of the face or cell of each surface; -1 in unused entries and where there is none."""
+    """Index of the face or cell of each surface; -1 in unused entries, and without a surface."""
     p_no_return: Floats
     """(n_poses, n_rays) Probability of no return; with the weights it sums to 1."""
 

@@ -116,7 +116,7 @@ class ResultStore:
             part.write_text(json.dumps(self.contents), encoding="utf-8")
 
     def get(self, key: str) -> dict[str, Any] | None:
-        """Return the kept result of a content; None if there is none with these settings."""
+        """Return the kept result of a content; None without one of these settings."""
         try:
             data = json.loads(self._path(key).read_text(encoding="utf-8"))
         except (OSError, ValueError):
