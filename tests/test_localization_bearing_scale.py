@@ -12,7 +12,7 @@ from localization_samples import loop_poses, room_run, seen
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.bearing_scale import identify_bearing_scale
+from sensorgraph.localization.bearing_scale import estimated_scale
 from sensorgraph.localization.locate import locate, located_run
 from sensorgraph.localization.turning_pieces import TimeEstimate
 from sensorgraph.types import Floats
@@ -102,7 +102,7 @@ def test_a_view_that_shows_any_step_leaves_the_bearings() -> None:
 
     start: Any = Anything()
     motion: Any = None
-    assert identify_bearing_scale(sensor, start, start, motion, None, 1.0) is None
+    assert estimated_scale(sensor, start, start, motion) is None
 
 
 def test_a_robot_that_only_spins_leaves_the_bearings() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import RangeSensor
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings
 from sensorgraph.localization.turning_pieces import LinearisedPieces, TurningPieces, sweep_basis
 from sensorgraph.types import Floats
 
@@ -54,46 +53,44 @@ class BearingScale:
         )
 
 
-def identify_bearing_scale(
-    sensor: RangeSensor,
-    pieces: TurningPieces,
-    start: LinearisedPieces,
-    motion: Motion,
-    turned: float | None,
-    widening: float,
-    settings: RayTimeSettings = RAY_TIMES,
-) -> BearingScale | None:
-    """Return the right step of the bearings; None if the run confirms the stated one.
+def estimated_scale(
+    sensor: RangeSensor, pieces: TurningPieces, start: LinearisedPieces, motion: Motion
+) -> tuple[float, float] | None:
+    """Return the right step of the bearings, relative to that of the sensor, and its standard error; None if it is not found.
 
     Parameters
     ----------
     sensor : With the ray times that the run shows.
     start : `pieces`, linearised at these.
     motion : Motion of base_link, from the odometry or the track.
-    turned : [rad] From `turned_left`; of the first, the middle and the last ray, that is kept which explains it best. None: the first one.
-    widening : Factor of the covariances, as there are few pieces.
     """
     basis, bearings = sweep_basis(sensor.n_rays), sensor.bearings - sensor.bearings.mean()
     scale, times, equations = 1.0, np.zeros(basis.shape[1]), start
     for step in range(MAX_STEPS):
         found = equations.estimate(basis, bearings[:, None])
-        change, variance = float(found.change[-1]), float(found.covariance[-1, -1])
+        change, stderr = float(found.change[-1]), float(np.sqrt(found.covariance[-1, -1]))
         scale, times = scale + change, times + found.change[:-1]
-        if (step == 0 and abs(change) < 0.5 * LEAST) or abs(scale - 1.0) > MOST:  # a step finds half, or more
+        if abs(scale - 1.0) > MOST:
             return None
-        if abs(change) < 0.1 * LEAST:
-            break
+        if abs(change) < (0.5 if step == 0 else 0.1) * LEAST:  # the first step finds half, or more
+            return scale, stderr
         scaled = replace(sensor, bearings=sensor.bearings.mean() + scale * bearings)
         there = replace(pieces, run=replace(pieces.run, sensor=scaled))
         equations = there.linearised(sensor.ray_delays + basis @ times, motion)
-    off = scale - 1.0
-    is_sure = off**2 > widening * settings.min_gain * variance
-    if abs(change) >= 0.1 * LEAST or abs(off) < LEAST or not is_sure:
-        return None
+    return None
+
+
+def kept_ray(sensor: RangeSensor, scale: float, turned: float | None) -> str:
+    """Return which of the first, the middle and the last ray has its stated bearing.
+
+    Parameters
+    ----------
+    turned : [rad] From `turned_left`, which the kept ray explains best. None: the first one is kept.
+    """
     kept = _kept(sensor)
-    distances = {name: abs(off * (at - kept["middle"]) - (turned or 0.0)) for name, at in kept.items()}
-    name = "first" if turned is None else min(distances, key=lambda one: distances[one])
-    return BearingScale(value=scale, stderr=float(np.sqrt(variance)), kept=name)
+    if turned is None:
+        return "first"
+    return min(kept, key=lambda name: abs((scale - 1.0) * (kept[name] - kept["middle"]) - turned))
 
 
 def _kept(sensor: RangeSensor) -> dict[str, float]:

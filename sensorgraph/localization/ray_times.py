@@ -19,7 +19,7 @@ from scipy.special import ndtr, stdtrit
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.bearing_scale import identify_bearing_scale, turned_left
+from sensorgraph.localization.bearing_scale import LEAST, BearingScale, estimated_scale, kept_ray, turned_left
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
@@ -32,6 +32,8 @@ from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG, RayTimeS
 from sensorgraph.localization.turning_pieces import CLASSES, LinearisedPieces, TurningPieces, sweep_basis
 from sensorgraph.types import Floats, Progress
 
+ROUNDS = 3
+"""Maximum number of times that ray times and bearings are estimated in turn."""
 MIRRORS = {"SICK LMS 2xx": 1 / 75, "SICK PLS": 1 / 25}
 """Laser without ray times in its driver -> [s] mirror period (SICK AG, technical descriptions)."""
 SCALES = np.array([0.0, *[min(MIRRORS.values())] * (CLASSES - 1)])
@@ -107,15 +109,27 @@ def _corrected(
     turned: float | None,
     settings: RayTimeSettings,
 ) -> tuple[RangeSensor, tuple[str, ...]]:
-    """Return the sensor with the ray times and the bearings that the run shows, and notes about them."""
+    """Return the sensor with the ray times and the bearings that the run shows, and notes about them.
+
+    Wrong bearings disturb the ray times, and the other way round, so that both are estimated in turn.
+    """
     widening = _small_sample(int(pieces.piece[-1]) + 1, settings)
     timed, start, notes = _with_ray_times(sensor, pieces, motion, widening, settings)
-    scale = identify_bearing_scale(timed, pieces, start, motion, turned, widening, settings)
-    if scale is None:
-        return timed, notes
-    scaled = scale.of(sensor)
-    pieces = replace(pieces, run=replace(pieces.run, sensor=scaled))
-    timed, _, notes = _with_ray_times(scaled, pieces, motion, widening, settings)
+    as_stated, scale, here = (timed, notes), BearingScale(value=1.0, stderr=0.0, kept="first"), pieces
+    for _ in range(ROUNDS):
+        found = estimated_scale(timed, here, start, motion)
+        if found is None:
+            return as_stated
+        value, stderr = scale.value * found[0], found[1]
+        scale = BearingScale(value=value, stderr=stderr, kept=kept_ray(sensor, value, turned))
+        if abs(found[0] - 1.0) < LEAST:
+            break
+        scaled = scale.of(sensor)
+        here = replace(pieces, run=replace(pieces.run, sensor=scaled))
+        timed, start, notes = _with_ray_times(scaled, here, motion, widening, settings)
+    off = abs(scale.value - 1.0)
+    if off < LEAST or off**2 <= widening * settings.min_gain * scale.stderr**2:
+        return as_stated
     return timed, (scale.line, *notes)
 
 
