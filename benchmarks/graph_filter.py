@@ -3,7 +3,8 @@
     python -m benchmarks.graph_filter ../shared/data/raw-carmen/aces.clf.bz2 --work /tmp/in_map [--picture FILE.png]
 
 The graph is of the first half of the log, the filters run on the second half (`localize_in_map.halves`), with AMCL's
-updates, and are told where to start. Truth is the whole log, located together. NEES is the median of e' (P + P_truth)^-1 e,
+updates, and are told where to start. Truth is the whole log, located together, in the second half without the rays that the
+filter of the graph uses: a truth of the same readings would share their errors. NEES is the median of e' (P + P_truth)^-1 e,
 with the covariance P of the particles, divided by that of chi² with 3 degrees of freedom: 1 if the posterior is as wide as
 its errors.
 
@@ -26,7 +27,7 @@ from scipy.spatial import cKDTree
 
 import sensorgraph as sg
 from benchmarks.arguments import log_of_halves, parser_of
-from benchmarks.localize_in_map import Halves, halves, said
+from benchmarks.localize_in_map import Halves, evenly_spaced, halves, said
 from benchmarks.odometry_errors import Motion
 from benchmarks.particle_filter import driven, followed
 from logs.transforms import compose, invert, wrap
@@ -183,7 +184,7 @@ def filtered(
 ) -> Posterior:  # fmt: skip
     """Follow the second half from the particles at scan `first`; `n_updates` None: to its end."""
     odometry = driven(data.second)
-    rays = np.unique(np.linspace(0, data.second.sensor.n_rays - 1, N_RAYS).astype(int))
+    rays = evenly_spaced(data.second.sensor.n_rays, N_RAYS)
     poses, covariances = np.full_like(data.truth, np.nan), np.full((len(data.truth), 3, 3), np.nan)
     last, counts, began = first, [], time.process_time()
     for k in [0, *updates(odometry[first:])][:n_updates]:
@@ -326,14 +327,14 @@ def main() -> None:
     parser.add_argument("--global-start", action="store_true", help="also starts without a pose")
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
-    data = halves(given.log, given.work)
+    data = halves(given.log, given.work, hidden=N_RAYS)
     arena = arena_of(data.graph)
     grid = map_of(arena)
     numbers = chosen(estimate_amcl(data.first, arena, grid))
     compared = compare_laser_models(data.first, grid, numbers)
     field, fitted = CellDistances.of(grid), compared.name if compared else LASER_MODELS[0]
     print_amcl(data, numbers, field, fitted, given.seeds, given.updates)
-    path = given.work / f"{given.log.name}.first_memory.sensorgraph"
+    path = given.work / f"{given.log.name}.without_{N_RAYS}.first_memory.sensorgraph"
     if not path.exists():
         sg.build(data.first, calibrate=False, memory=True).save(path)
     graph = sg.Sensorgraph.load(path)

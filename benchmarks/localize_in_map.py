@@ -25,7 +25,7 @@ from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.grid_localization import DistanceGrid, follow, grid_of
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from planners.types import Bools, Floats
+from planners.types import Bools, Floats, Ints
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.graph_walls import walls_of_graph
@@ -65,21 +65,30 @@ class Halves:
     """(n_scans,) the scan fits the graph at its true pose."""
 
 
-def halves(log: Path, work: Path, *, swapped: bool = False) -> Halves:
-    """Locate the log, build the first half; both are kept in `work`. Swapped: the second half is built."""
+def halves(log: Path, work: Path, *, swapped: bool = False, hidden: int = 0) -> Halves:
+    """Locate the log, build the first half; both are kept in `work`. Swapped: the second half is built.
+
+    Without a number of `hidden` rays of the other half, evenly spaced, the truth does not share their errors.
+    """
     work.mkdir(parents=True, exist_ok=True)
     built = "second" if swapped else "first"
-    whole, path = work / f"{log.name}.mcap", work / f"{log.name}.{built}.sensorgraph"
-    if not whole.exists():
-        sg.locate(log, path=whole)
-    located = logs.read(whole)
-    middle, n = located.n_scans // 2, located.n_scans
+    name = f"{log.name}.without_{hidden}" if hidden else log.name
+    whole, path = work / f"{name}.mcap", work / f"{name}.{built}.sensorgraph"
+    raw = logs.read(log)
+    middle, n = raw.n_scans // 2, raw.n_scans
     known, other = ((middle, n), (0, middle)) if swapped else ((0, middle), (middle, n))
+    if not whole.exists() and not hidden:
+        sg.locate(log, path=whole)
+    elif not whole.exists():
+        seen = raw.ranges.copy()
+        seen[np.arange(*other)[:, None], evenly_spaced(raw.sensor.n_rays, hidden)] = np.nan
+        sg.locate(replace(raw, ranges=seen), path=whole)
+    located = logs.read(whole)
     if not path.exists():
         sg.build(part(located, *known), calibrate=False).save(path)
     graph = sg.Sensorgraph.load(path)
     (walls, normals), seen = walls_of_graph(graph), seen_by_graph(graph)
-    second = part(logs.read(log), *other)
+    second = part(raw, *other)
     whole_part = part(located, *other)
     truth = logs.pair(whole_part).poses
     nearest = np.clip(
@@ -98,6 +107,11 @@ def halves(log: Path, work: Path, *, swapped: bool = False) -> Halves:
         graph=graph, walls=walls, normals=normals, seen=seen, first=part(located, *known), second=second, truth=truth, covered=covered,
         truth_covariances=whole_part.pose_covariances[nearest],
     )  # fmt: skip
+
+
+def evenly_spaced(n_rays: int, n: int) -> Ints:
+    """Return the indices of n of the rays, the first and the last among them."""
+    return np.unique(np.linspace(0, n_rays - 1, n).astype(np.intp))
 
 
 def part(run: Run, first: int, last: int) -> Run:

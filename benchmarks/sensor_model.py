@@ -1,8 +1,8 @@
 """A graph as a sensor model of real logs: intervals, scores and chances of its distribution, beside other models.
 
-    python -m benchmarks.sensor_model LOG [LOG ...] [--dither STEP] [--picture FILE.png]
+    python -m benchmarks.sensor_model LOG [LOG ...] [--placements N] [--dither STEP] [--picture FILE.png]
 
-Each log is built without every second block (`--split block`), and scored on what that holds out, where the graph answers
+Each log is built without five stretches (those of `--split block`), and scored on these, where the graph answers
 and the return is between 0.1 and 10 m. Beside it: the beam model (Thrun, Burgard and Fox 2005, section 6.2) on the tuned
 5 cm occupancy grid of `occupancy_grid.py`, its z_hit, z_short, z_rand and sigma fitted by EM to half of the held-out
 stretches; `cells` with one Gaussian at the mode, sigma fitted to the same half; and a kernel density over the ranges
@@ -10,6 +10,9 @@ that the five nearest training scans measured in this direction, its bandwidth f
 
 A log whose readings are multiples of a step has lumps in its distribution function. `--dither` adds a uniform number
 within half a step to its held-out readings, which shows how much of a difference is due to them.
+
+Errors of one stretch are alike, so five stretches know a frequency to 2 to 8 points only; its standard error is that
+between stretches. `--placements` holds out other stretches in turn, each with a graph of its own.
 """
 
 from __future__ import annotations
@@ -23,12 +26,13 @@ from scipy.spatial import cKDTree
 
 from benchmarks.arguments import parser_of
 from benchmarks.occupancy_grid import Grid, tuned
-from logs import pair, read
+from logs import Run, pair, read
 from logs.motion import ray_poses
 from logs.transforms import wrap
-from planners.types import Bools, Floats
+from planners.types import Bools, Floats, Ints
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES, held_out
+from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.key_frames import is_key_frame, laser_poses
 from sensorgraph.show.figures.style import new_figure, save_figure
 
@@ -37,25 +41,52 @@ MAX_RANGE = 10.0
 """[m] Longest scored return, the reach of cells and grid."""
 UNIFORM = 1.0 / MAX_RANGE
 """[1/m] Density of an arbitrary reading."""
+MIN_RAYS = 100
+"""Smallest number of rays of a tenth of the stated chances that is told."""
 N_NEAREST = 5
 """Number of training scans of the kernel density."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scored:
-    """What one log says of the distribution of the graph."""
+    """What one log says of the distribution of the graph, ray by ray; (n,) each."""
 
     name: str
-    coverage: tuple[float, ...]
-    """Shares within the intervals of LEVELS."""
-    stretches: Floats
-    """(5,) Share within the first of these intervals in each held-out stretch."""
     pit: Floats
-    """(n,) Distribution function at the measured ranges."""
-    chances: Floats
-    """(10, 3) Stated chance of being off by more than 5 cm, frequency, and number of rays."""
-    scores: dict[str, float]
-    """Mean log density [ln 1/m] of each model."""
+    """Distribution function at the measured ranges."""
+    stated: Floats
+    """Chance of being off by more than 5 cm."""
+    off: Floats
+    """1 where it was."""
+    stretch: Ints
+    """Index of the held-out stretch."""
+    scores: dict[str, Floats]
+    """Log densities [ln 1/m] of each model, of the rays that are not fitted."""
+
+    @property
+    def coverage(self) -> list[float]:
+        """Shares within the intervals of LEVELS."""
+        return [float((np.abs(self.pit - 0.5) <= 0.5 * level).mean()) for level in LEVELS]
+
+    @property
+    def stretches(self) -> Floats:
+        """Share within the first of these intervals in each held-out stretch."""
+        inside = np.abs(self.pit - 0.5) <= 0.5 * LEVELS[0]
+        return np.array([inside[self.stretch == k].mean() for k in np.unique(self.stretch)])
+
+    @property
+    def chances(self) -> Floats:
+        """(n_bins, 4) Stated chance, frequency, its standard error between stretches, and number of rays, in each tenth."""
+        bins = np.clip((self.stated * 10).astype(int), 0, 9)
+        rows = []
+        for k in range(10):
+            own = bins == k
+            if (n := int(own.sum())) < MIN_RAYS:
+                continue
+            stated, seen = self.stated[own].mean(), self.off[own].mean()
+            excess = np.bincount(self.stretch[own], (self.off - self.stated)[own] - (seen - stated))
+            rows.append([stated, seen, np.sqrt((excess**2).sum()) / n, n])
+        return np.array(rows)
 
 
 def gaussian(error: Floats, sigma: float) -> Floats:
@@ -107,12 +138,13 @@ def nearest_ranges(poses: Floats, train: Floats, ranges: Floats, bearings: Float
     return np.asarray(np.moveaxis(found, 1, 2))
 
 
-def score(path: Path, most: int, dither: float) -> Scored:
-    """Build and score one log; of the held-out scans, at most `most` are used, dithered by the step `dither` [m]."""
-    run = read(path)
+def score(run: Run, held: Bools, most: int, dither: float) -> Scored:
+    """Score a graph of the other scans of a run on those held out.
+
+    At most `most` of these are used, dithered by the step `dither` [m].
+    """
     pairing = pair(run)
-    held = held_out(run, "block")
-    graph = build([run], model="cells", split="block")
+    graph = build([run.take_scans(~held)], model="cells")
     train = np.flatnonzero(pairing.paired & ~held)
     train = train[is_key_frame(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
     test = np.flatnonzero(pairing.paired & held)
@@ -124,13 +156,6 @@ def score(path: Path, most: int, dither: float) -> Scored:
     use = found.answered & (ranges > 0.1) & (ranges < MAX_RANGE) & np.isfinite(found.mode)
     z = ranges[use]
     half = np.broadcast_to(((np.arange(len(test)) * 10 // len(test)) % 2 == 0)[:, None], use.shape)[use]
-    inside = []
-    for level in LEVELS:
-        low, high = found.interval(level)
-        inside.append(((ranges >= low) & (ranges <= high))[use])
-    stretch = np.broadcast_to((N_STRETCHES * test // run.n_scans)[:, None], use.shape)[use]
-    counts = np.bincount(stretch, minlength=N_STRETCHES)
-    stretches = np.bincount(stretch, inside[0], N_STRETCHES) / np.where(counts > 0, counts, np.nan)
     own = graph.log_likelihood(ranges, each, correlated=False, per_ray=True)[use]
     to_laser = (lambda p: p) if run.pose_frame == "laser" else (lambda p: laser_poses(p, run.sensor.mount))
     grid_args = to_laser(pairing.poses[train]), run.ranges[train], run.sensor.bearings
@@ -152,17 +177,29 @@ def score(path: Path, most: int, dither: float) -> Scored:
         "cells, one Gaussian": one_gaussian(best_width(one_gaussian, half)),
         "kernel density": kernel_density(best_width(kernel_density, half)),
     }
-    scores = {"graph": float(own[~half].mean())}
-    scores |= {name: float(np.log(density)[~half].mean()) for name, density in densities.items()}
-    off = (np.abs(ranges - found.mode) > 0.05)[use]
-    stated = found.p_off[use]
-    bins = np.clip((stated * 10).astype(int), 0, 9)
-    count = np.bincount(bins, minlength=10)
-    chances = np.column_stack(
-        [np.bincount(bins, values, minlength=10) / np.maximum(count, 1) for values in (stated, off)] + [count]
+    scores = {"graph": own[~half]}
+    scores |= {name: np.log(density)[~half] for name, density in densities.items()}
+    stretch = np.broadcast_to((N_STRETCHES * test // run.n_scans)[:, None], use.shape)[use]
+    return Scored(
+        name="", pit=found.cdf(ranges)[use], stated=found.p_off[use], stretch=stretch, scores=scores,
+        off=(np.abs(ranges - found.mode) > OFF_DISTANCE)[use].astype(float),
+    )  # fmt: skip
+
+
+def scored(path: Path, most: int, dither: float, placements: int) -> Scored:
+    """Score one log with its stretches held out at several places, as `placements.py` moves them."""
+    run = read(path)
+    first, fifth = held_out(run, "block"), run.n_scans / N_STRETCHES
+    parts = [
+        score(run, np.roll(first, round(k * fifth / placements)), most, dither) for k in range(placements)
+    ]
+    pit, stated, off = (
+        np.concatenate([getattr(one, name) for one in parts]) for name in ("pit", "stated", "off")
     )
     return Scored(
-        name=path.name.split(".")[0], coverage=tuple(float(each.mean()) for each in inside), stretches=stretches, pit=found.cdf(ranges)[use], chances=chances, scores=scores
+        name=path.name.split(".")[0], pit=pit, stated=stated, off=off,
+        stretch=np.concatenate([k * N_STRETCHES + one.stretch for k, one in enumerate(parts)]),
+        scores={name: np.concatenate([one.scores[name] for one in parts]) for name in parts[0].scores},
     )  # fmt: skip
 
 
@@ -173,8 +210,8 @@ def picture(logs: list[Scored], path: Path) -> None:
     for one in logs:
         heights, edges = np.histogram(one.pit, 20, (0.0, 1.0), density=True)
         left.stairs(heights, edges, label=one.name)
-        known = one.chances[:, 2] > 100
-        right.plot(one.chances[known, 0], one.chances[known, 1], "o-", ms=4, label=one.name)
+        stated, seen, error, _ = one.chances.T
+        right.errorbar(stated, seen, error, fmt="o-", ms=4, lw=1, label=one.name)
     left.axhline(1.0, color="0.6", lw=0.8)
     right.plot([0, 1], [0, 1], color="0.6", lw=0.8)
     left.set(xlabel="distribution function at the measured range", ylabel="density", ylim=(0, None))
@@ -191,24 +228,22 @@ def main() -> None:
     parser.add_argument("logs", type=Path, nargs="+")
     parser.add_argument("--most", type=int, default=200, help="held-out scans of each log")
     parser.add_argument("--dither", type=float, default=0.0, help="[m] step of the readings of the logs")
+    parser.add_argument("--placements", type=int, default=1, help="times that other stretches are held out")
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     done = []
     for log in given.logs:
-        done.append(one := score(log, given.most, given.dither))
+        done.append(one := scored(log, given.most, given.dither, given.placements))
         shares = " / ".join(f"{100 * share:.1f}" for share in one.coverage)
         print(f"{one.name}: within 50 / 90 / 99 % intervals {shares} % of {len(one.pit):,} returns")
-        print(
-            "  within 50 % intervals in each stretch:",
-            *("-" if np.isnan(share) else f"{100 * share:.0f}" for share in one.stretches),  # no returns
-            "%",
-        )
-        print("  mean log score:", ", ".join(f"{name} {value:.3f}" for name, value in one.scores.items()))
-        for stated, seen, count in one.chances:
-            if count > 100:
-                print(
-                    f"  off by more than 5 cm: stated {100 * stated:.1f} %, was {100 * seen:.1f} % of {count:,.0f}"
-                )
+        low, high = 100 * np.quantile(one.stretches, [0.0, 1.0])
+        print(f"  within 50 % intervals in each of {len(one.stretches)} stretches: {low:.0f} to {high:.0f} %")
+        means = ", ".join(f"{name} {values.mean():.3f}" for name, values in one.scores.items())
+        print(f"  mean log score: {means}")
+        for stated, seen, error, n in one.chances:
+            print(
+                f"  off by more than 5 cm: stated {100 * stated:.1f} %, was {100 * seen:.1f} ± {100 * error:.1f} % of {n:,.0f}"
+            )
     if given.picture:
         picture(done, given.picture)
 
