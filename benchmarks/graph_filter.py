@@ -4,9 +4,10 @@
 
 The graph is of the first half of the log, the filters run on the second half (`localize_in_map.halves`), with AMCL's
 updates, and are told where to start. Truth is the whole log, located together, in the second half without the rays that the
-filter of the graph uses: a truth of the same readings would share their errors. NEES is the median of e' (P + P_truth)^-1 e,
+filter of the graph uses: a truth of the same readings would share their errors. NEES is the median of e' (P + k P_truth)^-1 e,
 with the covariance P of the particles, divided by that of chi² with 3 degrees of freedom: 1 if the posterior is as wide as
-its errors.
+its errors. The stated covariances P_truth hold errors that the map shares. So the second half is located twice more, each
+time from one half of the other rays, and k makes the NEES of the differences 1.
 
 The posterior of one scan is so narrow that few particles of the prior fall into it. So the filter of the graph adds groups
 of rays one after the other, each with an exponent that grows from 0 to 1, and draws new particles after each step (annealed
@@ -24,12 +25,15 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.stats import chi2
 
 import sensorgraph as sg
 from benchmarks.arguments import log_of_halves, parser_of
-from benchmarks.localize_in_map import Halves, evenly_spaced, halves, said
+from benchmarks.localize_in_map import Halves, evenly_spaced, halves, located_without, said
+from benchmarks.locate import aligned
 from benchmarks.odometry_errors import Motion
 from benchmarks.particle_filter import driven, followed
+from logs import pair, read
 from logs.transforms import compose, invert, wrap
 from planners.types import Floats, Ints
 from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
@@ -229,17 +233,31 @@ def converged(
     return float(np.mean(found)), (time.process_time() - began) / N_STARTS
 
 
-def nees(found: Posterior, data: Halves) -> float:
+def nees(errors: Floats, covariances: Floats) -> float:
     """Return the median of the normalised estimation error squared, 1 if the covariances are right."""
-    use = np.isfinite(found.poses[:, 0]) & np.isfinite(data.truth[:, 0]) & data.covered
-    error = found.poses[use] - data.truth[use]
-    error[:, 2] = wrap(error[:, 2])
-    both = found.covariances[use] + data.truth_covariances[use]
-    squares = np.einsum("ni,ni->n", error, np.linalg.solve(both, error[..., None])[..., 0])
-    return float(np.median(squares) / 2.366)  # the median of chi² with 3 degrees of freedom
+    squares = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+    return float(np.median(squares) / chi2.median(3))
 
 
-def picture(found: Posterior, data: Halves, graph: Sensorgraph, path: Path) -> None:
+def share_of_truth(log: Path, work: Path) -> float:
+    """Return the share of its stated variances that the truth has relative to the map, from two truths of different rays."""
+    raw = read(log)
+    n, second = raw.sensor.n_rays, slice(raw.n_scans // 2, None)
+    used = evenly_spaced(n, N_RAYS)
+    others = np.setdiff1d(np.arange(n), used)
+    poses, covariances = [], []
+    for k in range(2):
+        hidden = np.union1d(used, others[k::2])
+        run = located_without(raw, second, hidden, work / f"{log.name}.truth_{k}.mcap")
+        at = np.searchsorted(run.pose_stamps, raw.stamps[second])
+        poses.append(pair(run).poses[second])
+        covariances.append(run.pose_covariances[np.minimum(at, len(run.pose_stamps) - 1)])
+    known = np.isfinite(poses[0][:, 0]) & np.isfinite(poses[1][:, 0])
+    errors, _ = aligned(poses[0][known], poses[1][known])
+    return nees(errors, (covariances[0] + covariances[1])[known])
+
+
+def picture(found: Posterior, data: Halves, truth_share: float, graph: Sensorgraph, path: Path) -> None:
     """Draw the way of the filter in the map, and its errors beside what it states."""
     use = np.flatnonzero(np.isfinite(found.poses[:, 0]) & np.isfinite(data.truth[:, 0]) & data.covered)
     figure = new_figure(10.0, 4.4)
@@ -255,7 +273,7 @@ def picture(found: Posterior, data: Halves, graph: Sensorgraph, path: Path) -> N
     left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     left.legend()
     error = 100 * np.linalg.norm((found.poses - data.truth)[use, :2], axis=1)
-    both = (found.covariances + data.truth_covariances)[use]
+    both = (found.covariances + truth_share * data.truth_covariances)[use]
     stated = 100 * np.sqrt(both[:, 0, 0] + both[:, 1, 1])
     right.plot(error, ".", ms=4, label="error")
     right.plot(stated, color="0.3", lw=0.8, label="stated standard deviation")
@@ -339,20 +357,24 @@ def main() -> None:
         sg.build(data.first, calibrate=False, memory=True).save(path)
     graph = sg.Sensorgraph.load(path)
     print(f"graph: {graph.memory.summary() if graph.memory else 'no memory'}")
-    motion = Motion.fit(data.first)
+    motion, truth_share = Motion.fit(data.first), share_of_truth(given.log, given.work)
+    print(f"truth: {100 * truth_share:.0f} % of its stated variances are relative to the map")
     first = int(np.flatnonzero(np.isfinite(data.truth[:, 0]))[0])
     for seed in range(given.seeds):
         rng = np.random.default_rng(seed)
         start = data.truth[first] + rng.normal(size=(MOST, 3)) * START_SPREAD
         found = filtered(graph, motion, data, start, first, given.updates, rng)
-        done = np.isfinite(found.poses[:, 0]) & data.covered
+        done = np.isfinite(found.poses[:, 0]) & np.isfinite(data.truth[:, 0]) & data.covered
+        errors = found.poses[done] - data.truth[done]
+        errors[:, 2] = wrap(errors[:, 2])
+        width = nees(errors, found.covariances[done] + truth_share * data.truth_covariances[done])
         print(
             f"graph, {found.counts.mean():.0f} particles (median {np.median(found.counts):.0f}), seed {seed}: "
-            f"{said(found.poses[done], data.truth[done])}; NEES {nees(found, data):.2f}; "
+            f"{said(found.poses[done], data.truth[done])}; NEES {width:.2f}; "
             f"{len(found.counts) / found.seconds:.1f} updates/s"
         )
     if given.picture:
-        picture(found, data, graph, given.picture)
+        picture(found, data, truth_share, graph, given.picture)
     if given.global_start:
         print_starts(data, graph, motion, numbers, field, fitted)
 

@@ -77,13 +77,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False, hidden: int = 0) -> 
     raw = logs.read(log)
     middle, n = raw.n_scans // 2, raw.n_scans
     known, other = ((middle, n), (0, middle)) if swapped else ((0, middle), (middle, n))
-    if not whole.exists() and not hidden:
-        sg.locate(log, path=whole)
-    elif not whole.exists():
-        seen = raw.ranges.copy()
-        seen[np.arange(*other)[:, None], evenly_spaced(raw.sensor.n_rays, hidden)] = np.nan
-        sg.locate(replace(raw, ranges=seen), path=whole)
-    located = logs.read(whole)
+    located = located_without(raw, slice(*other), evenly_spaced(raw.sensor.n_rays, hidden), whole)
     if not path.exists():
         sg.build(part(located, *known), calibrate=False).save(path)
     graph = sg.Sensorgraph.load(path)
@@ -107,6 +101,15 @@ def halves(log: Path, work: Path, *, swapped: bool = False, hidden: int = 0) -> 
         graph=graph, walls=walls, normals=normals, seen=seen, first=part(located, *known), second=second, truth=truth, covered=covered,
         truth_covariances=whole_part.pose_covariances[nearest],
     )  # fmt: skip
+
+
+def located_without(run: Run, scans: slice, rays: Ints, path: Path) -> Run:
+    """Locate a run without some rays of some scans; the result is kept in `path`."""
+    if not path.exists():
+        ranges = run.ranges.copy()
+        ranges[scans, rays] = np.nan
+        sg.locate(replace(run, ranges=ranges), path=path)
+    return logs.read(path)
 
 
 def evenly_spaced(n_rays: int, n: int) -> Ints:

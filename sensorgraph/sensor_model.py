@@ -146,7 +146,7 @@ def near_of(
 
 
 def _shares(graph: Graph, ranges: Floats, rays: Ints, *, correlated: bool) -> Floats:
-    """Return the share (len(ranges),) of independent readings in each scan, 1 without a memory."""
+    """Return the share (len(ranges),) of its information that counts in each scan, 1 without a memory."""
     if correlated and graph.memory is not None:
         return information_share(graph.memory, _ends_in_laser(ranges, graph.sensor, rays))
     if correlated:

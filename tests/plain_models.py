@@ -34,7 +34,7 @@ from sensorgraph.models.cells.visibility import (
     neighbour_offsets,
 )
 from sensorgraph.models.distribution import Mixture
-from sensorgraph.models.likelihood import MIN_DENSITY
+from sensorgraph.models.likelihood import LINE_RADIUS, MIN_DENSITY
 from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.types import Floats
 
@@ -183,16 +183,35 @@ def log_density_plain(mixture: Mixture, ranges: Floats, range_min: float, stray:
 
 
 def information_share_plain(memory: ResidualMemory, ends: Floats) -> Floats:
-    """Compute `information_share` in numpy."""
+    """Compute `information_share` in numpy, of scans whose rays are in the order of their bearings."""
     out = np.ones(len(ends))
     noise = memory.noise.sum(axis=1)
     for i, points in enumerate(ends):
         there = points[np.isfinite(points).all(axis=1)]
-        if len(there) == 0:
+        if len(there) < 3:
             continue
         apart = np.hypot(*np.moveaxis(there[:, None] - there[None], -1, 0))
         ratio = np.minimum(apart[..., None] / memory.sizes, 1.0)  # (n, n, n_sizes)
         correlation = np.where(ratio < 1.0, 1.0 - (4.0 - ratio) * ratio / np.pi, 0.0) @ noise
         np.fill_diagonal(correlation, 1.0)
-        out[i] = len(there) / correlation.sum()
+        w = []
+        for a, point in enumerate(there):
+            near = apart[a] <= LINE_RADIUS
+            first, last = a, a
+            while first > 0 and near[first - 1]:
+                first -= 1
+            while last < len(there) - 1 and near[last + 1]:
+                last += 1
+            if first == last:
+                both = [b for b in (a - 1, a + 1) if 0 <= b < len(there)]
+                line = [there[min(both, key=lambda b: apart[a, b])]]
+            else:
+                line = [there[b] for b in range(first, last + 1) if b != a]
+            along = np.linalg.svd(np.array(line) - point)[2][0]
+            normal = np.array([-along[1], along[0]])
+            normal *= -np.sign(normal @ point)
+            w.append([*normal, point[0] * normal[1] - point[1] * normal[0]])
+        w = np.array(w)
+        information, variability = w.T @ w, w.T @ correlation @ w
+        out[i] = min(3.0 / np.trace(np.linalg.solve(information, variability)), 1.0)
     return out

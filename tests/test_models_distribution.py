@@ -10,6 +10,7 @@ from scipy.stats import norm
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.likelihood import information_share, log_density
 from sensorgraph.models.residual_memory import MEMORY, ResidualMemory
+from sensorgraph.types import Floats
 
 
 def some_mixture(n: int = 40) -> Mixture:
@@ -78,14 +79,51 @@ def memory_of(noise: dict[float, float]) -> ResidualMemory:
     )  # fmt: skip
 
 
-def test_share_of_independent_readings() -> None:
+def room_scan(bearings: Floats) -> tuple[Floats, Floats]:
+    """End points (n, 2) of rays from (0, 0) in a room of 5 x 3 m, and the normals of the walls that they end on."""
+    u = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    half = np.where(u > 0, [3.0, 1.2], [2.0, 1.8])
+    with np.errstate(divide="ignore"):
+        along = half / np.abs(u)
+    axis = np.argmin(along, axis=1)
+    normals = np.zeros_like(u)
+    normals[np.arange(len(u)), axis] = -np.sign(u[np.arange(len(u)), axis])
+    return u * along.min(axis=1)[:, None], normals
+
+
+def test_share_of_the_information_is_that_of_the_plain_formula() -> None:
     rng = np.random.default_rng(2)
-    ends = rng.uniform(0.0, 2.0, (3, 50, 2))
+    ends = np.stack([room_scan(np.sort(rng.uniform(-2.2, 2.2, 50)))[0] for _ in range(3)])
+    ends += 0.01 * rng.normal(size=ends.shape)
     ends[1, 10:20] = np.nan
     memory = memory_of({0.1: 0.3, 1.6: 0.5})
     found = information_share(memory, ends)
     np.testing.assert_allclose(found, information_share_plain(memory, ends), rtol=1e-9)
-    assert (found < 0.5).all()
+    assert (found < 0.6).all()
+    np.testing.assert_allclose(information_share(memory, rng.permutation(ends[0])[None]), found[:1])
     np.testing.assert_allclose(information_share(memory_of({}), ends), 1.0)
-    one_place = np.zeros((1, 50, 2))  # n / (n + n (n - 1) share)
-    assert information_share(memory_of({0.1: 0.5}), one_place)[0] == pytest.approx(1 / (1 + 49 * 0.5))
+    np.testing.assert_allclose(information_share(memory, np.full((1, 50, 2), np.nan)), 1.0)
+
+
+def test_a_posterior_with_the_share_is_as_wide_as_its_errors() -> None:
+    """Poses by least squares from ranges with correlated errors, in units of the stated width."""
+    rng, sigma, shares = np.random.default_rng(3), 0.02, {0.4: 0.3, 1.6: 0.5}
+    bearings = np.linspace(-2.2, 2.2, 60)
+    ends, normals = room_scan(bearings)
+    apart = np.hypot(*np.moveaxis(ends[:, None] - ends[None], -1, 0))
+    correlation = np.eye(60) * (1.0 - sum(shares.values()))
+    for (
+        size,
+        share,
+    ) in shares.items():  # mean share of two points in one square, which directions of the pair vary
+        ratio = np.minimum(apart / size, 1.0)
+        correlation += share * np.where(ratio < 1.0, 1.0 - (4.0 - ratio) * ratio / np.pi, 0.0)
+    cosine = np.abs(np.einsum("ni,ni->n", normals, ends)) / np.hypot(*ends.T)
+    lever = ends[:, 0] * normals[:, 1] - ends[:, 1] * normals[:, 0]
+    jacobian = np.column_stack([normals, lever]) / cosine[:, None]  # of a range; its spread is sigma / cosine
+    errors = rng.multivariate_normal(np.zeros(60), correlation, 2000) * sigma / cosine
+    rows = jacobian * (cosine / sigma)[:, None]
+    poses = errors * (cosine / sigma) @ np.linalg.pinv(rows).T
+    share = information_share(memory_of(shares), ends[None])[0]
+    squares = np.einsum("ni,ij,nj->n", poses, share * rows.T @ rows, poses)
+    assert squares.mean() / 3.0 == pytest.approx(1.0, abs=0.1)
