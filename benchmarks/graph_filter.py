@@ -19,7 +19,7 @@ sideways motion in a turn and no systematic errors.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,12 +45,8 @@ from sensorgraph.exporting.amcl_filter import (
     mean_pose,
     updates,
 )
-from sensorgraph.exporting.amcl_filter import filtered as follow_amcl
 from sensorgraph.exporting.nav2 import chosen, map_of
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.cells.model import CellModel
-from sensorgraph.models.crossed_cells import crossed_cells
-from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.likelihood import information_share
 from sensorgraph.nearby_likelihood import NearbyLikelihood
 from sensorgraph.show.figures.style import new_figure, save_figure
@@ -60,18 +56,16 @@ N_RAYS = 60
 """Number of rays of a scan that count, as many as AMCL's."""
 N_GROUPS, ORDER = 8, (0, 4, 2, 6, 1, 5, 3, 7)
 """Number of groups of rays, and their order."""
+ALONE_SPREAD = 0.05, 0.05, 0.02
+"""[m, m, rad] Standard deviations of the prior of a scan that is taken alone."""
 N_NEIGHBOURS, KERNEL, TURN_SCALE = 8, 0.5, 2.0
 """Number of neighbours of a particle, share of the difference of two that moves it, and metres that one radian counts."""
 NEAR = 0.25, 0.25, 0.1
 """[m, m, rad] Standard deviations of particles up to which their likelihoods are tabulated."""
-LEAST, MOST = 200, 1000
-"""Smallest number of particles, and largest one but for those of a global start."""
+LEAST, MOST, N_ALONE = 200, 1000, 60
+"""Smallest and largest number of particles; number of scans that are taken alone."""
 BIN, KLD = np.array([0.2, 0.2, np.radians(6.0)]), (0.05, 2.33)
 """[m, m, rad] Sizes of the bins of KLD-sampling; its largest divergence, and quantile of 99 % (Nav2's pf_err and pf_z)."""
-N_GLOBAL, N_FIRST, N_STARTS = (2000, 8000), 10, 5
-"""Numbers of particles of a global start; number of its updates, and of starts."""
-CONVERGED = 0.5
-"""[m] Largest error of a filter that has converged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,32 +199,22 @@ def filtered(
     return Posterior(poses=poses, covariances=covariances, seconds=seconds, counts=np.array(counts))
 
 
-def anywhere(graph: Sensorgraph, n: int, rng: np.random.Generator) -> Floats:
-    """Return n poses in the space that the training rays crossed."""
-    model = graph.model
-    assert isinstance(model, Faces | CellModel)
-    corner, side, known = crossed_cells(model)
-    cells = np.argwhere(known)[rng.integers(known.sum(), size=n)]
-    return np.column_stack(
-        [corner + (cells + rng.uniform(size=(n, 2))) * side, rng.uniform(-np.pi, np.pi, n)]
-    )
-
-
-def converged(
-    follow: Callable[[Floats, int], Floats],
-    graph: Sensorgraph,
-    data: Halves,
-    n: int,
-    rng: np.random.Generator,
-) -> tuple[float, float]:
-    """Return the share of global starts that have found the robot after `N_FIRST` updates, and the seconds of each."""
+def alone(
+    graph: Sensorgraph, data: Halves, rays: Ints, rng: np.random.Generator
+) -> tuple[Floats, Floats, Ints]:
+    """Return errors (n, 3) and covariances (n, 3, 3) of one scan alone, with a wide prior about the truth, and the scans."""
     usable = np.flatnonzero(data.covered & np.isfinite(data.truth[:, 0]))
-    found, began = [], time.process_time()
-    for first in usable[np.linspace(0, 0.9 * len(usable), N_STARTS).astype(int)]:
-        poses = follow(anywhere(graph, n, rng), int(first))
-        last = np.flatnonzero(np.isfinite(poses[:, 0]))[-1]
-        found.append(np.hypot(*(poses[last, :2] - data.truth[last, :2])) < CONVERGED)
-    return float(np.mean(found)), (time.process_time() - began) / N_STARTS
+    chosen = usable[np.linspace(0, len(usable) - 1, N_ALONE).astype(np.intp)]
+    errors, covariances = [], []
+    for k in chosen:
+        prior = data.truth[k] + rng.normal(size=(MOST, 3)) * ALONE_SPREAD
+        found = updated(prior, ScanLikelihood(graph, data.second.ranges[k], rays), rng)
+        mean, _, covariance = moments(found, np.full(len(found), 1.0 / len(found)))
+        errors.append(mean - data.truth[k])
+        covariances.append(covariance)
+    off = np.array(errors)
+    off[:, 2] = wrap(off[:, 2])
+    return off, np.array(covariances), chosen
 
 
 def nees(errors: Floats, covariances: Floats) -> float:
@@ -306,43 +290,12 @@ def print_amcl(
             print(f"{label}, seed {seed}: {said(poses[done], data.truth[done])}; {rate:.1f} updates/s")
 
 
-def print_starts(
-    data: Halves,
-    graph: Sensorgraph,
-    motion: Motion,
-    numbers: Mapping[str, float],
-    field: CellDistances,
-    fitted: str,
-) -> None:
-    """Print how often filters find the robot that are not told where it starts."""
-    drive, second = driven(data.second), data.second
-
-    def by_graph(particles: Floats, first: int) -> Floats:
-        return filtered(graph, motion, data, particles, first, N_FIRST, np.random.default_rng(first)).poses
-
-    def by_amcl(particles: Floats, first: int) -> Floats:
-        last = first + [0, *updates(drive[first:])][:N_FIRST][-1] + 1
-        poses = follow_amcl(
-            drive[first:last], second.ranges[first:last], second.sensor, particles, field, numbers,
-            rng=np.random.default_rng(first), laser_model=fitted,
-        )  # fmt: skip
-        return np.concatenate([np.full((first, 3), np.nan), poses])
-
-    for n in N_GLOBAL:
-        for name, follow in (("AMCL, fitted", by_amcl), ("graph", by_graph)):
-            share, seconds = converged(follow, graph, data, n, np.random.default_rng(0))
-            print(
-                f"{name}, {n} particles anywhere: {100 * share:.0f} % found after {N_FIRST} updates; {seconds:.1f} s"
-            )
-
-
 def main() -> None:
     """Print the errors of each filter."""
     parser = parser_of(__doc__)
     log_of_halves(parser)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--updates", type=int, help="only the first updates")
-    parser.add_argument("--global-start", action="store_true", help="also starts without a pose")
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     data = halves(given.log, given.work, hidden=N_RAYS)
@@ -359,6 +312,10 @@ def main() -> None:
     print(f"graph: {graph.memory.summary() if graph.memory else 'no memory'}")
     motion, truth_share = Motion.fit(data.first), share_of_truth(given.log, given.work)
     print(f"truth: {100 * truth_share:.0f} % of its stated variances are relative to the map")
+    rays = evenly_spaced(graph.sensor.n_rays, N_RAYS)
+    errors, covariances, chosen_scans = alone(graph, data, rays, np.random.default_rng(0))
+    width = nees(errors, covariances + truth_share * data.truth_covariances[chosen_scans])
+    print(f"one scan alone: NEES {width:.2f} of {len(errors)} scans")
     first = int(np.flatnonzero(np.isfinite(data.truth[:, 0]))[0])
     for seed in range(given.seeds):
         rng = np.random.default_rng(seed)
@@ -375,8 +332,6 @@ def main() -> None:
         )
     if given.picture:
         picture(found, data, truth_share, graph, given.picture)
-    if given.global_start:
-        print_starts(data, graph, motion, numbers, field, fitted)
 
 
 if __name__ == "__main__":
