@@ -137,7 +137,7 @@ def test_no_scheduler_is_said_in_one_line(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed", reason="Dask is not installed: pip install '.[dask]'")
-    monkeypatch.setattr("sensorgraph.building.dask_cluster.CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr("sensorgraph.dask_client.CONNECT_TIMEOUT", 0.5)
     out = tmp_path / "g.sensorgraph"
     assert command(["build", str(path), "--dask", "tcp://127.0.0.1:1", "-o", str(out)]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()

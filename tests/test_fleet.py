@@ -338,7 +338,7 @@ def test_a_located_pose_does_not_absorb_an_offset_of_the_ranges() -> None:
 
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("sensorgraph.surveying.cluster.CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr("sensorgraph.dask_client.CONNECT_TIMEOUT", 0.5)
     (tmp_path / "x.mcap").write_bytes(b"x")
     with pytest.raises(SensorgraphError, match="no scheduler answers") as caught:
         sg.fleet(tmp_path / "x.mcap", tmp_path / "out", scheduler="tcp://127.0.0.1:9")

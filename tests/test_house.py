@@ -36,7 +36,7 @@ OWNERS = {
     "rich": {"sensorgraph/cli/"},
     "yaml": {"sensorgraph/", "planners/", "logs/"},
     "PIL": {"planners/maps/"},
-    "distributed": {"sensorgraph/building/dask_cluster.py", "sensorgraph/surveying/cluster.py"},
+    "distributed": {"sensorgraph/dask_client.py", "sensorgraph/surveying/cluster.py"},
     "pyarrow": {"sensorgraph/surveying/parquet.py"},
     "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py", "planners/compile_ahead.py"},
     "gtsam": {"sensorgraph/localization/pose_graph.py"},

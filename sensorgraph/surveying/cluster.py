@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from sensorgraph.dask_client import TASKS_AHEAD, connected, n_threads
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.surveying.limited import (
     TaskError,
@@ -19,10 +20,6 @@ from sensorgraph.surveying.limited import (
     start_again,
 )
 
-CONNECT_TIMEOUT = 10.0
-"""[s]"""
-AHEAD = 2
-"""Number of pending tasks for each thread of the workers; it bounds the memory of the coordinator."""
 DASHBOARD = "127.0.0.1:8787"
 WORK = "sensorgraph.surveying.survey:survey"
 
@@ -51,45 +48,29 @@ def cluster(address: str | None, n_workers: int | None) -> Iterator[Any]:
     ------
     SensorgraphError : Dask is not installed, no scheduler answers, or it has no workers.
     """
+    if address is not None:
+        with connected(address) as client:
+            yield client
+        return
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         raise SensorgraphError("fleet needs Dask; install it with: pip install distributed") from None
-    client: Any
-    if address is None:
-        n = n_workers or os.cpu_count() or 1
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # another cluster may use the port of the dashboard
-            local: Any = LocalCluster(  # type: ignore[no-untyped-call]
-                n_workers=1, threads_per_worker=n, processes=False, dashboard_address=DASHBOARD,
-                worker_dashboard_address="127.0.0.1:0", silence_logs=50, memory_limit=0,
-            )  # fmt: skip
-        try:
-            with local, Client(local, set_as_default=False) as client:  # type: ignore[no-untyped-call]
-                try:
-                    yield client
-                finally:
-                    end_all()  # after Ctrl-C, the cluster would wait for the logs that its threads analyse
-        finally:
-            start_again()
-        return
+    n = n_workers or os.cpu_count() or 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # another cluster may use the port of the dashboard
+        local: Any = LocalCluster(  # type: ignore[no-untyped-call]
+            n_workers=1, threads_per_worker=n, processes=False, dashboard_address=DASHBOARD,
+            worker_dashboard_address="127.0.0.1:0", silence_logs=50, memory_limit=0,
+        )  # fmt: skip
     try:
-        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError, TimeoutError) as exc:
-        raise SensorgraphError(
-            f"Dask at {address}: no scheduler answers ({exc}); start one with `dask scheduler`"
-        ) from exc
-    with client:
-        if not n_threads(client):
-            raise SensorgraphError(
-                f"Dask at {address}: the scheduler has no workers; start some with `dask worker`"
-            )
-        yield client
-
-
-def n_threads(client: Any) -> int:
-    """Return the number of threads of all workers of a client."""
-    return sum(client.nthreads().values())
+        with local, Client(local, set_as_default=False) as client:  # type: ignore[no-untyped-call]
+            try:
+                yield client
+            finally:
+                end_all()  # after Ctrl-C, the cluster would wait for the logs that its threads analyse
+    finally:
+        start_again()
 
 
 def surveyed(
@@ -104,7 +85,7 @@ def surveyed(
     waiting: Any = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
     keys: dict[str, str] = {}
     left = iter(jobs)
-    n_ahead = AHEAD * max(1, n_threads(client))
+    n_ahead = TASKS_AHEAD * max(1, n_threads(client))
 
     def submit() -> bool:
         job = next(left, None)
