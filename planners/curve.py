@@ -24,15 +24,13 @@ from numpy.typing import NDArray
 
 from planners.arena import wrap
 from planners.trajectory import Trajectory
-from planners.types import Floats
+from planners.types import ROUND_OFF, Floats
 from planners.vehicle import Limits
 
 RATE = 50.0
 """[Hz] of exported samples."""
 SAMPLES_AT_A_TIME = 1 << 16
 """Number of samples processed at a time, so that days of driving fit in memory."""
-SHORTEST_MOVE = 1e-9
-"""[m, rad] Shorter moves and turns are skipped."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # constants of compiled code, see `planners.kernel`
 
 Profile = tuple[Floats, Floats]
@@ -229,7 +227,7 @@ class CurveBuilder:
 
     def move(self, distance: float, label: str = "move", overlap: float = 0.0) -> None:
         """Drive straight [m], backward if negative; start up to `overlap` [s] before the end of the last turn."""
-        if abs(distance) < SHORTEST_MOVE:
+        if abs(distance) < ROUND_OFF:
             return
         times, rates = trapezoid(distance, self.limits.v, self.limits.a)
         before, back = self._last, self._append(0, times, rates, label, overlap)
@@ -239,7 +237,7 @@ class CurveBuilder:
 
     def turn(self, angle: float, label: str = "turn", overlap: float = 0.0) -> None:
         """Turn on the spot [rad], clockwise if negative; start up to `overlap` [s] before the end of the last move."""
-        if abs(angle) < SHORTEST_MOVE:
+        if abs(angle) < ROUND_OFF:
             return
         times, rates = trapezoid(angle, self.spin, self.limits.alpha)
         self.pose[:2] = self.rest(angle, overlap)
@@ -257,7 +255,7 @@ class CurveBuilder:
         for corner in path[1:]:
             leg = corner - self.pose[:2]
             length = float(np.hypot(*leg))
-            if length > SHORTEST_MOVE:
+            if length > ROUND_OFF:
                 self.face(float(np.arctan2(leg[1], leg[0])))
                 self.move(length, "move" if len(path) == 2 else "join")
 

@@ -23,6 +23,7 @@ from planners.types import Floats, Ints
 ROWS_AT_A_TIME = 256
 """Number of lane ends per call of Dijkstra's algorithm."""
 HALF_NEIGHBOURHOOD = ((1, 0), (0, 1), (1, 1), (1, -1))
+"""Steps to one of each two neighbours on opposite sides of a cell."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,11 +22,8 @@ from planners.joins.paths import connect
 from planners.reach import Reach
 from planners.settings import SECTIONS
 from planners.task import JoinCounts, PlannedDrive, Task
-from planners.types import Floats, Ints
+from planners.types import ROUND_OFF, Floats, Ints
 from planners.vehicle import Vehicle
-
-STILL = 1e-9
-"""[m/s, rad/s] Below this the robot is at rest."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +54,7 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
     if not arena.contains(pose[:2]):
         raise PlanError(f"{where} is outside the arena or within an obstacle; move it into free space")
     away = float(barriers.distances(pose[None, :2])[0])
-    if away < reach.clearance - STILL:
+    if away < reach.clearance - ROUND_OFF:
         raise PlanError(
             f"{where} is {away:.2f} m from a wall, less than the robot's radius and margin of "
             f"{reach.clearance:.2f} m; move it away from the wall"
@@ -72,7 +69,7 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
 
 def cut_points(curve: Curve, vehicle: Vehicle) -> Ints:
     """Return the pieces (m,) before which the curve can be cut; the last entry is the number of pieces."""
-    still = abs(curve.twists[:, 0]) < STILL
+    still = abs(curve.twists[:, 0]) < ROUND_OFF
     if vehicle.drive != "diff":
         still[:] = True
     return np.append(np.flatnonzero(still), len(curve.starts))
@@ -89,7 +86,7 @@ def _spin_section(curve: Curve, first: int, last: int, alpha: float) -> Curve:
     """Return a section that begins and ends with a turn on the spot at `alpha` [rad/s²] where the robot is turning."""
     whole = curve if last == len(curve.starts) else curve.until(float(curve.starts[last]), alpha)
     omega = float(curve.twists[first, 1])
-    if abs(omega) < STILL:
+    if abs(omega) < ROUND_OFF:
         return replace(
             whole,
             starts=whole.starts[first:] - whole.starts[first],
@@ -127,7 +124,7 @@ def turning_stops(curve: Curve) -> Floats:
     end = curve.sample(np.array([curve.duration]))[0][0]
     phi = np.append(curve.poses[:, 2], 0.0)
     phi[-1] = phi[-2] + wrap(np.float64(end[2] - phi[-2]))
-    turning = (abs(curve.twists[:, 1]) > STILL) | (abs(curve.rates[:, 1]) > STILL)
+    turning = (abs(curve.twists[:, 1]) > ROUND_OFF) | (abs(curve.rates[:, 1]) > ROUND_OFF)
     onset = turning & ~np.append(False, turning[:-1])
     onset |= turning & (curve.labels != np.append("", curve.labels[:-1]))
     marks: list[int] = []
@@ -261,7 +258,7 @@ def longest_section(
             allowed = float(stamps[last] - stamps[first]) - SECTIONS.step_back
             continue
         over = cut.duration - left
-        if over <= STILL:
+        if over <= ROUND_OFF:
             return cut
         allowed = float(stamps[last] - stamps[first]) - over
 
@@ -281,7 +278,7 @@ def fit_to_budget(
     cache = None if end is None else PathCache(task)
     whole = section_up_to(curve, 0, len(curve.starts), end, cache, vehicle)
     cut = whole
-    if budget is not None and whole.duration > budget + STILL:
+    if budget is not None and whole.duration > budget + ROUND_OFF:
         found = longest_section(curve, 0, budget, end, cache, vehicle)
         if found is None:
             choice = cut_points(curve, vehicle)

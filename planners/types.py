@@ -13,6 +13,9 @@ Ints = NDArray[np.intp]
 Int32s = NDArray[np.int32]
 Int16s = NDArray[np.int16]
 
+ROUND_OFF = 1e-9
+"""[m, rad, m/s, rad/s] Smaller lengths, angles and speeds are round-off."""
+
 Progress = Callable[[int, int], None]
 """Called with (done, total) during long work."""
 

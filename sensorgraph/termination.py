@@ -21,8 +21,8 @@ from functools import partial
 from types import FrameType
 from typing import Any
 
-TERMINATED = 143
-"""Exit code: 128 + SIGTERM."""
+INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+"""Exit codes after a signal, as of a shell."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import tau
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from logs.ros.cloud_points import SETTINGS, Cloud, Plane, Points
 from logs.transforms import wrap
 from logs.types import Floats
 
-TURN = 2 * np.pi
 TIME_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 """[s] units of the times of points."""
 
@@ -45,11 +45,11 @@ class Grid:
     @property
     def step(self) -> float:
         """[rad] between two bearings."""
-        return TURN / self.n
+        return tau / self.n
 
     def angles(self, points: Points) -> Floats:
         """Return the angles (n,) [rad] from the cut, in the direction of rotation."""
-        return np.asarray((self.sign * (points.bearings - self.cut)) % TURN)
+        return np.asarray((self.sign * (points.bearings - self.cut)) % tau)
 
 
 @dataclass
@@ -79,7 +79,7 @@ def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
         usual = float(np.median(steps))
         even = steps[np.abs(steps - usual) < 0.5 * usual]  # without the gaps of missing returns
         step = float(even.mean()) if len(even) else usual
-    n = round(TURN / max(step, SETTINGS.finest))
+    n = round(tau / max(step, SETTINGS.finest))
     unit = _unit(clouds, chosen)
     found = [rotation for one in full if unit and (rotation := _rotation(one, unit)) is not None]
     phase = np.exp(1j * n * np.concatenate([one.bearings for one in full] or [np.zeros(1)])).mean()
@@ -87,21 +87,21 @@ def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
     if len(found) <= len(full) / 2 or not found:
         return Grid(n, _aligned(_start(chosen, n), centre, n), 1, 0.0, unit)
     slope = float(np.median(found))
-    sign, period = (1 if slope > 0 else -1), TURN / abs(slope)
+    sign, period = (1 if slope > 0 else -1), tau / abs(slope)
     begins = [
         one.bearings[np.argmin(one.times)]
         for one in (cloud.points for cloud in clouds)
         if one.times is not None and len(one.times)
     ]
     mean = np.exp(1j * np.array(begins)).mean()
-    cut = float(np.angle(mean)) - sign * 0.5 * TURN / n if abs(mean) > SETTINGS.linear else np.pi
+    cut = float(np.angle(mean)) - sign * 0.5 * tau / n if abs(mean) > SETTINGS.linear else np.pi
     return Grid(n, _aligned(cut, centre, n), sign, period, unit)
 
 
 def _aligned(cut: float, centre: float, n: int) -> float:
     """Return the bearing [rad] nearest to `cut` that is a border between two of n steps in a turn."""
-    border = centre + 0.5 * TURN / n
-    return border + TURN / n * round((cut - border) * n / TURN)
+    border = centre + 0.5 * tau / n
+    return border + tau / n * round((cut - border) * n / tau)
 
 
 def _fullest_ring(points: Points) -> Points:
@@ -135,7 +135,7 @@ def _rotation(points: Points, unit: float) -> float | None:
     if not (dt > 0).any():
         return None
     rate = float(np.median(db[dt > 0] / dt[dt > 0]))
-    whole = b + TURN * np.rint((b[0] + rate * t - b) / TURN)
+    whole = b + tau * np.rint((b[0] + rate * t - b) / tau)
     rate = float(np.polyfit(t, whole, 1)[0])
     phase = np.exp(1j * (b - rate * t))
     return rate if abs(phase.mean()) > SETTINGS.linear and rate != 0 else None
@@ -146,10 +146,10 @@ def _start(chosen: Sequence[Points], n: int) -> float:
     bearings = np.sort(np.concatenate([points.bearings for points in chosen]))
     if len(bearings) < 2:
         return -np.pi
-    gaps = np.append(np.diff(bearings), bearings[0] + TURN - bearings[-1])
+    gaps = np.append(np.diff(bearings), bearings[0] + tau - bearings[-1])
     k = int(np.argmax(gaps))
-    half = 0.5 * TURN / n
-    return float(bearings[(k + 1) % len(bearings)] - half) if gaps[k] > 5 * TURN / n else -np.pi
+    half = 0.5 * tau / n
+    return float(bearings[(k + 1) % len(bearings)] - half) if gaps[k] > 5 * tau / n else -np.pi
 
 
 class TurnScan(NamedTuple):
@@ -186,14 +186,14 @@ class TurnScans:
             self.close()
             late = 0.0 if times is None or not len(times) else float(np.median(times))
             self._open = _Turn(
-                stamp + round(late * 1e9), logged, [angles], [ranges], [strengths], [(0.0, TURN)]
+                stamp + round(late * 1e9), logged, [angles], [ranges], [strengths], [(0.0, tau)]
             )
             return
         if times is None or every is None or not len(times):
             return
-        phase = np.exp(1j * (TURN * times / grid.period - angles)).mean()
-        start = float(np.angle(phase)) * grid.period / TURN
-        number = np.rint((times - start) / grid.period - angles / TURN)
+        phase = np.exp(1j * (tau * times / grid.period - angles)).mean()
+        start = float(np.angle(phase)) * grid.period / tau
+        number = np.rint((times - start) / grid.period - angles / tau)
         for k in np.unique(number).tolist():
             mine, begin = number == k, start + k * grid.period
             at = stamp + round(begin * 1e9)
@@ -203,8 +203,8 @@ class TurnScans:
             self._open.angles.append(angles[mine])
             self._open.ranges.append(ranges[mine])
             self._open.intensities.append(strengths[mine])
-            first, last = (TURN * (t - begin) / grid.period for t in (every.min(), every.max()))
-            self._open.seen.append((max(first - grid.step, 0.0), min(last + grid.step, TURN)))
+            first, last = (tau * (t - begin) / grid.period for t in (every.min(), every.max()))
+            self._open.seen.append((max(first - grid.step, 0.0), min(last + grid.step, tau)))
 
     def drop_incomplete(self) -> int:
         """Drop turns of which less was measured than of most, as the first and the last; return their number."""
@@ -219,7 +219,7 @@ class TurnScans:
         if turn is None:
             return
         ranges, intensities = _row(turn, self.centres, self.grid.step, fill=self.fill)
-        share = sum(stop - start for start, stop in turn.seen) / TURN
+        share = sum(stop - start for start, stop in turn.seen) / tau
         self.scans.append(
             TurnScan(
                 share, turn.start, turn.logged, ranges.astype(np.float32), intensities.astype(np.float32)

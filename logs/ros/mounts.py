@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from logs.ros.laser_scan import LaserScans
-from logs.ros.poses import BASE_FRAMES, FLOOR_FRAME
+from logs.ros.poses import BASE_FRAMES, FLOOR_FRAME, MIN_LEVEL
 from logs.ros.transform_tree import RelativePose, TransformTree
 from logs.transforms import wrap
 from logs.types import Floats
 
-MIN_UPRIGHT_COSINE = 0.98
-"""Cosine of the maximum tilt (11°) of a level laser."""
 MAX_VERTICAL_COSINE = 0.7
 """Cosine of the minimum tilt (46°) of an optical frame: its z axis looks ahead, more or less."""
 OPTICAL = "optical"
@@ -38,7 +36,7 @@ def mount_in_tree(tree: TransformTree, base: str | None, scans: LaserScans) -> t
             f"the scans are in the optical frame {scans.frame}, whose z axis looks ahead: their bearings were read as those "
             "of the frame with x ahead"
         )
-    elif abs(place.up) < MIN_UPRIGHT_COSINE:
+    elif abs(place.up) < MIN_LEVEL:
         scans.notes.append(
             f"the laser is tilted by {np.degrees(np.arccos(abs(place.up))):.0f}°, but assumed to be level"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from math import tau
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from logs.errors import LogError
 from logs.ros import cdr
 from logs.ros.cloud_points import SETTINGS, Cloud, Plane, decode, horizontal
-from logs.ros.cloud_turns import TURN, Grid, TurnScans, find_grid
+from logs.ros.cloud_turns import Grid, TurnScans, find_grid
 from logs.ros.messages import header
 from logs.ros.poses import FIXED_FRAMES, FLOOR_FRAME, base_of
 from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, transform_tree
@@ -166,7 +167,7 @@ def _messages(topic: Topic, scans: TurnScans, frame: str) -> Topic:
     )
     first = grid.cut + grid.sign * float(scans.centres[some.start])
     width = grid.sign * grid.step * (some.stop - 1 - some.start)
-    first -= TURN * np.floor((first + width / 2) / TURN + 0.5)  # the middle is between -pi and pi
+    first -= tau * np.floor((first + width / 2) / tau + 0.5)  # the middle is between -pi and pi
     top = float(ranges[np.isfinite(ranges)].max())
     limits = np.array([first, first + width, grid.sign * grid.step, delay, grid.period, 0.0, top])
     known = {"intensities": intensities[:, some]} if np.isfinite(intensities).any() else {}

@@ -39,7 +39,7 @@ MIN_JUMP, MIN_JUMPS = 0.02, 0.02
 MIN_DRIVEN = 0.1
 """[m, rad] Motion by the twists of odometry above which its constant pose was not filled in."""
 MIN_LEVEL = 0.98
-"""Cosine of the maximum tilt (11°) of a frame whose odometry is planar."""
+"""Cosine of the maximum tilt (11°) of a level frame: that of a laser, or of planar odometry."""
 FIXED_FRAMES = (*MAP_FRAMES, ODOM_FRAME)
 """Words in the names of stationary frames; poses in other frames may not refer to the map."""
 

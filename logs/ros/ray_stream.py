@@ -13,6 +13,7 @@ that each ray has the same bearing and the same time after its stamp in all scan
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import tau
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,6 @@ from logs.ros.recording import SCAN_TYPE, Topic, logged_times
 from logs.transforms import wrap
 from logs.types import Floats
 
-TURN = 2 * np.pi
 SHARE = 0.9
 """Share of the scans that must begin where the last one ended; if as many begin at one bearing, nothing is cut."""
 SLACK = 2.0
@@ -67,8 +67,8 @@ def begin_elsewhere(census: ShapeCensus) -> bool:
 
 def _is_spread(lows: Floats, step: float) -> bool:
     """Return whether fewer than `SHARE` of the first bearings agree within `SLACK` steps."""
-    angles = np.sort(lows % TURN)
-    both = np.concatenate([angles, angles + TURN])
+    angles = np.sort(lows % tau)
+    both = np.concatenate([angles, angles + tau])
     most = int(
         (np.searchsorted(both, angles + SLACK * step, side="right") - np.arange(len(angles))).max(initial=0)
     )
@@ -89,11 +89,11 @@ def full_turns(topic: Topic) -> tuple[Topic, list[str]]:
         return topic, []
     advance, seconds = n_rays[:-1] * step + after, np.diff(stream.stamps) / 1e9
     rate = float(np.median(advance[follows] / seconds[follows]))  # [rad/s]
-    missed = np.rint((rate * seconds - advance) / TURN)
-    advance += TURN * np.where(follows, 0, np.maximum(missed, np.where(advance < 0, 1, 0)))
-    n = round(TURN / step)
+    missed = np.rint((rate * seconds - advance) / tau)
+    advance += tau * np.where(follows, 0, np.maximum(missed, np.where(advance < 0, 1, 0)))
+    n = round(tau / step)
     first = _first_bearing(stream.lows, n, sign)
-    begins = sign * (stream.lows[0] - first) % TURN + np.concatenate([[0.0], np.cumsum(advance)])
+    begins = sign * (stream.lows[0] - first) % tau + np.concatenate([[0.0], np.cumsum(advance)])
     return _cut(topic, stream, begins, rate, first, n)
 
 
@@ -114,7 +114,7 @@ def _stream(topic: Topic) -> _Stream | None:
     stamps = np.concatenate([block.stamps_ns for block in blocks])
     index = np.concatenate([block.index for block in blocks])
     ranges = [row for block in blocks for row in block["ranges"].astype(np.float64)]
-    if max(map(len, ranges)) * abs(step) > 2 * TURN:
+    if max(map(len, ranges)) * abs(step) > 2 * tau:
         return None
     intensities = [row for block in blocks for row in block["intensities"].astype(np.float64)]
     order = np.lexsort((index, stamps))
@@ -131,7 +131,7 @@ def _stream(topic: Topic) -> _Stream | None:
 def _first_bearing(lows: Floats, n: int, sign: float) -> float:
     """Return the first bearing [rad] of a turn that begins behind the laser, in phase with the rays."""
     phase = float(np.angle(np.exp(1j * n * lows).mean())) / n
-    return phase + sign * TURN / n * float(np.ceil((-np.pi - sign * phase) * n / TURN - 1e-3))
+    return phase + sign * tau / n * float(np.ceil((-np.pi - sign * phase) * n / tau - 1e-3))
 
 
 def _cut(
@@ -149,15 +149,15 @@ def _cut(
     scan = np.repeat(np.arange(len(begins)), n_rays)
     along = (np.arange(len(scan)) - np.repeat(np.cumsum(n_rays) - n_rays, n_rays)) * abs(stream.step)
     angles = begins[scan] + along
-    turn = np.floor(angles / TURN + 0.5 / n).astype(np.int64)
-    angles -= TURN * turn
+    turn = np.floor(angles / tau + 0.5 / n).astype(np.int64)
+    angles -= tau * turn
     ranges = np.concatenate(stream.ranges)
     strengths = [
         part if len(part) == m else np.full(m, np.nan)
         for part, m in zip(stream.intensities, n_rays, strict=True)
     ]
     intensities = np.concatenate(strengths)
-    wanted = np.arange(n) * TURN / n
+    wanted = np.arange(n) * tau / n
     order = np.lexsort((angles, turn))
     rows, shares = [], []
     for mine in np.split(order, np.flatnonzero(np.diff(turn[order])) + 1):
@@ -182,7 +182,7 @@ def _cut(
     )
     sign = np.sign(stream.step)
     limits = stream.limits.copy()
-    limits[:5] = first, first + sign * wanted[-1], sign * TURN / n, TURN / n / rate, TURN / rate
+    limits[:5] = first, first + sign * wanted[-1], sign * tau / n, tau / n / rate, tau / rate
     known = {"intensities": np.stack(strong)} if np.isfinite(intensities).any() else {}
     packed = cdr.pack(
         SCAN_TYPE, len(stamps), strings={"frame_id": stream.frame},
@@ -190,7 +190,7 @@ def _cut(
     )  # fmt: skip
     note = (
         f"{topic.name}: scans begin where the last one ended, so their rays were cut into {len(stamps)} full turns "
-        f"of {TURN / rate:.4g} s ({len(rows) - len(stamps)} incomplete turns were left out)"
+        f"of {tau / rate:.4g} s ({len(rows) - len(stamps)} incomplete turns were left out)"
     )
     payloads = cdr.Messages(row.tobytes() for row in packed)
     return replace(

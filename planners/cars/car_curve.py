@@ -11,11 +11,8 @@ import numpy as np
 
 from planners.cars.reeds_shepp import Arcs, take_arcs
 from planners.curve import Curve, curve_of_pieces
-from planners.types import Floats
+from planners.types import ROUND_OFF, Floats
 from planners.vehicle import Limits
-
-STRAIGHT = 1e-9
-"""[rad] A piece that turns less is straight."""
 
 
 def curve_of_arcs(
@@ -52,7 +49,7 @@ def arcs_of_curve(curve: Curve) -> Arcs:
     """Return the arcs (n,) of a car's curve, one for each piece."""
     dt = np.diff(np.append(curve.starts, curve.duration))[:, None]
     length, turn = (curve.twists * dt + 0.5 * curve.rates * dt * dt).T
-    bend = np.where(abs(turn) > STRAIGHT, np.sign(turn), 0.0)
+    bend = np.where(abs(turn) > ROUND_OFF, np.sign(turn), 0.0)
     return Arcs(abs(length), bend.astype(np.int64), np.sign(length).astype(np.int64))
 
 

@@ -15,19 +15,17 @@ closed forms of A. M. Shkel and V. Lumelsky, Classification of the Dubins set, R
 
 from __future__ import annotations
 
+from math import tau
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import inner_kernel, kernel, outer_kernel
-from planners.types import Floats, Ints
+from planners.types import ROUND_OFF, Floats, Ints
 
 MAX_ARCS = 5
 """Number of arcs of the longest word."""
-ZERO_LENGTH = 1e-9
-"""[m] Arcs shorter than this are left out."""
-TWO_PI = 2 * np.pi
 Pose = tuple[float, float, float]
 """[m, m, rad]"""
 N_FAMILIES = 8
@@ -129,8 +127,8 @@ def quickest_word(
 @inner_kernel
 def _wrap(angle: float) -> float:
     """Return an angle in (-pi, pi]."""
-    angle = angle % TWO_PI
-    return angle - TWO_PI if angle > np.pi else angle
+    angle = angle % tau
+    return angle - tau if angle > np.pi else angle
 
 
 @inner_kernel
@@ -164,7 +162,7 @@ def _reeds_shepp(
                 cost, gear = length, gear_before
                 for k in range(n):
                     part = word[n - 1 - k if is_reversed else k] * gears
-                    if abs(part) * radius < ZERO_LENGTH:
+                    if abs(part) * radius < ROUND_OFF:
                         continue
                     part_gear = 1 if part > 0 else -1
                     cost += gear_change_cost * (gear != 0 and part_gear != gear)
@@ -175,7 +173,7 @@ def _reeds_shepp(
                 best, n_best = cost, 0
                 for k in range(n):
                     at = n - 1 - k if is_reversed else k
-                    if abs(word[at]) * radius >= ZERO_LENGTH:
+                    if abs(word[at]) * radius >= ROUND_OFF:
                         part_gear = 1 if word[at] * gears > 0 else -1
                         out.length[first_entry + n_best] = abs(word[at]) * radius
                         out.gear[first_entry + n_best] = part_gear
@@ -189,7 +187,7 @@ def is_too_short(word: Floats, n: int, radius: float, shortest: float) -> bool:
     """Return whether one of the `n` arcs of a word is shorter than `shortest` [m] but longer than zero."""
     is_short = False
     for k in range(n):
-        is_short |= ZERO_LENGTH <= abs(word[k]) * radius < shortest
+        is_short |= ROUND_OFF <= abs(word[k]) * radius < shortest
     return is_short
 
 
@@ -350,7 +348,7 @@ def _dubins(
     x: float, y: float, phi: float, radius: float, shortest: float, first_entry: int, word: Floats, out: Arcs
 ) -> int:
     d, theta = np.hypot(x, y), np.arctan2(y, x)
-    a, b = (-theta) % TWO_PI, (phi - theta) % TWO_PI
+    a, b = (-theta) % tau, (phi - theta) % tau
     best, n_best = np.inf, -1
     for kind in range(len(DUBINS_BENDS)):
         is_word = _with_straight(kind, d, a, b, word) if kind < 4 else _without_straight(kind, d, a, b, word)
@@ -359,7 +357,7 @@ def _dubins(
             continue
         best, n_best = length, 0
         for k in range(3):
-            if word[k] * radius >= ZERO_LENGTH:
+            if word[k] * radius >= ROUND_OFF:
                 out.length[first_entry + n_best] = word[k] * radius
                 out.gear[first_entry + n_best] = 1
                 out.bend[first_entry + n_best] = DUBINS_BENDS[kind, k]
@@ -379,7 +377,7 @@ def _with_straight(kind: int, d: float, a: float, b: float, word: Floats) -> boo
         return False
     p = np.sqrt(square)
     heading = np.arctan2(dy, dx) + one * np.arctan2(across, p)
-    word[0], word[1], word[2] = (one * (heading - a)) % TWO_PI, p, (other * (b - heading)) % TWO_PI
+    word[0], word[1], word[2] = (one * (heading - a)) % tau, p, (other * (b - heading)) % tau
     return True
 
 
@@ -392,7 +390,7 @@ def _without_straight(kind: int, d: float, a: float, b: float, word: Floats) -> 
     square = dx * dx + dy * dy
     if square > 16:
         return False
-    p = TWO_PI - np.arccos(1 - square / 8)
-    t = (one * (np.arctan2(dy, dx) - a) + 0.5 * p) % TWO_PI
-    word[0], word[1], word[2] = t, p, (one * (b - a) - t + p) % TWO_PI
+    p = tau - np.arccos(1 - square / 8)
+    t = (one * (np.arctan2(dy, dx) - a) + 0.5 * p) % tau
+    word[0], word[1], word[2] = t, p, (one * (b - a) - t + p) % tau
     return True

@@ -30,7 +30,6 @@ from planners.cars.arc_path import (
 from planners.cars.car_curve import arcs_of_curve, curve_of_arcs
 from planners.cars.reeds_shepp import (
     MAX_ARCS,
-    ZERO_LENGTH,
     Arcs,
     concatenate_arcs,
     empty_arcs,
@@ -47,7 +46,7 @@ from planners.cars.shortcut_kernels import (
 from planners.curve import Curve
 from planners.search.motion_primitives import GEARS
 from planners.task import Task
-from planners.types import Bools, Ints
+from planners.types import ROUND_OFF, Bools, Ints
 
 
 def shortening_passes(path: ArcPath, context: CarContext) -> Iterator[ArcPath]:
@@ -149,7 +148,7 @@ def arc_path_of(curve: Curve, todo: Bools, task: Task, speed: float) -> tuple[Ar
     limits, can_reverse = task.vehicle.limits, len(GEARS[task.vehicle.drive]) > 1
     context = car_context(task.reach, todo, limits, speed, task.rate, can_reverse=can_reverse)
     arcs = arcs_of_curve(curve)
-    path, _ = even_arc_path(curve.poses[0], take_arcs(arcs, arcs.length > ZERO_LENGTH), context)
+    path, _ = even_arc_path(curve.poses[0], take_arcs(arcs, arcs.length > ROUND_OFF), context)
     return path, context
 
 

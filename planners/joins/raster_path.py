@@ -17,10 +17,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from planners.order import HALF_NEIGHBOURHOOD
 from planners.reach import Reach
 from planners.types import Floats, Ints
-
-NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 
 def raster_path(start: Floats, end: Floats, reach: Reach) -> Floats | None:
@@ -53,7 +52,7 @@ def _node_graph(reach: Reach, number: Ints) -> sparse.csr_array:
     cost_per_metre = 1 + 1 / (1 + np.maximum(depth, 0.0))
     nx, ny = reach.mask.shape
     rows, columns, costs = [], [], []
-    for i, j in NEIGHBOURS:
+    for i, j in HALF_NEIGHBOURHOOD:
         here = (slice(0, nx - i), slice(max(-j, 0), ny - max(j, 0)))
         there = (slice(i, nx), slice(max(j, 0), ny + min(j, 0)))
         both = reach.mask[here] & reach.mask[there]

@@ -26,10 +26,7 @@ from planners.search.room_drive import RoomDrive, spin_curve
 from planners.search.search import CoverageSearch
 from planners.search.settings import SPIN_ONLY_ROOM, SPIN_ROOM, SearchSettings
 from planners.task import PlannedDrive, Task
-from planners.types import Bools, Floats, Ints
-
-SAME_PLACE = 1e-9
-"""[m] Places closer than this are equal."""
+from planners.types import ROUND_OFF, Bools, Floats, Ints
 
 
 def plan_spins(task: Task) -> PlannedDrive:
@@ -141,7 +138,7 @@ def _join_rooms(room_drives: list[RoomDrive], task: Task) -> PlannedDrive:
     curves: list[Curve] = []
     stops: list[Floats] = []
     for room_drive, path in zip(room_drives, paths, strict=True):
-        if path is not None and not np.allclose(path[0], here[:2], atol=SAME_PLACE):
+        if path is not None and not np.allclose(path[0], here[:2], atol=ROUND_OFF):
             again, more = connect(
                 here[None, :2],
                 room_drive.ends[0][None, :2],

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robotmodic_ident.kernel import inner_kernel, kernel
+from robotmodic_ident.moments import MAX_OUTPUT
 from robotmodic_ident.types import Floats, Ints
 
 KIND_POWER, KIND_COS, KIND_SIN, KIND_LEGENDRE, KIND_CHEBYSHEV, KIND_SPLINE, KIND_WAVELET = range(7)
@@ -23,7 +24,6 @@ COL_LAG, COL_OF_NOISE, COL_KIND, COL_HARMONIC, COL_FIRST, COL_SECOND, COL_EXPONE
 N_COLUMNS = 8
 GROUP_NUMERATOR, GROUP_DENOMINATOR, GROUP_NOISE = range(3)
 """Part of the model that contains a term: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
-DIVERGED = 1e150
 
 
 class ModelTable(NamedTuple):
@@ -214,7 +214,7 @@ def run(
         value = min(max(value, limits[0]), limits[1]) if held else value
         if not math.isfinite(value):
             continue
-        if abs(value) > DIVERGED:
+        if abs(value) > MAX_OUTPUT:
             return False
         out[k] = value
         if free:
@@ -309,7 +309,7 @@ def run_ahead(model: ModelTable, measured: Floats, noise: Floats, steps: int) ->
             value, _ = value_at(k, model, past, quiet, phi)
             if value < limits[0] or value > limits[1]:
                 value = min(max(value, limits[0]), limits[1])
-            if not abs(value) <= DIVERGED:  # unknown, as are the predictions that depend on it
+            if not abs(value) <= MAX_OUTPUT:  # unknown, as are the predictions that depend on it
                 value = np.nan
             past[k], quiet[k] = value, 0.0
         out[last] = value

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
 from robotmodic_ident.model import Narmax, among
-from robotmodic_ident.moments import Moments
+from robotmodic_ident.moments import MAX_OUTPUT, Moments
 from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.records import Record, lagged
 from robotmodic_ident.scale import Scale
@@ -27,7 +27,7 @@ from robotmodic_ident.selection.select import Selection, select
 from robotmodic_ident.terms import CONSTANT, Terms
 
 Rows: TypeAlias = slice | NDArray[np.intp]
-MIN_OUTPUT = 1e-150
+MIN_OUTPUT = 1 / MAX_OUTPUT
 """Minimum magnitude of an output other than 0; squares of smaller values underflow."""
 
 

@@ -39,7 +39,7 @@ from sensorgraph.cli.review import review
 from sensorgraph.cli.show import show
 from sensorgraph.cli.watch import watch
 from sensorgraph.cli.why import why
-from sensorgraph.termination import TERMINATED, Terminated, install
+from sensorgraph.termination import INTERRUPTED, TERMINATED, Terminated, install
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
@@ -65,7 +65,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "compile": compile_kernels,
 }
 
-INTERRUPTED = 130
 TERMINATED_LINE = "terminated"
 THREADS_OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """One thread each, unless they are set: on systems of a few hundred unknowns, threads wait more than they compute."""

@@ -10,18 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sensorgraph.cli.options import (
-    PosesFrom,
-)
+from sensorgraph.cli.options import PosesFrom
+from sensorgraph.termination import INTERRUPTED
 
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.world.robot import Robot
-
-INTERRUPTED = 130
-
 
 MAX_VIEWS = 1000
 """A plan of more views takes longer than covering (x, y, φ)."""

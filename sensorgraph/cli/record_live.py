@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sensorgraph.cli.progress import PLAIN_EVERY
 from sensorgraph.termination import TERMINATED, Terminated, allow_to_finish
 
 if TYPE_CHECKING:
@@ -52,8 +53,6 @@ RecordShare = Annotated[
 
 LOOK_EVERY = 0.5
 """[s] Interval at which rates and coverage are updated."""
-PLAIN_EVERY = 5.0
-"""[s] Interval of the lines printed without a terminal."""
 
 
 def check_options(*, live: bool, of_live: Mapping[str, Any], of_plan: Mapping[str, Any]) -> None:
