@@ -20,24 +20,21 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.result import Status, WheelParameters, true_intervals
+from sensorgraph.localization.settings import SIGNIFICANT
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps
-from sensorgraph.robust import robust_sigma
+from sensorgraph.robust import SIGMA_OF_MAD, robust_sigma
 from sensorgraph.types import Bools, Floats, Ints
 
 SPAN = 1.0
 """[s] Time over which motions are compared: long enough that slip is larger than the noise of two scans."""
-Z = 4.0
-"""Standard deviations beyond which a contrast exceeds the odometry's noise, and an offset of the laser chance ..."""
-LEAST = (0.1, 0.1, 0.1)
-"""[m, m, rad] ... if it is also larger than this, ahead, left and in heading."""
+LEAST = 0.1
+"""[m, m, rad] Least significant difference between scans and odometry that counts, ahead, left and in heading."""
 LEAST_OFFSET = 0.03
 """[m] Distance of the laser from its stated place below which it is not worth a note ..."""
 MIN_TURNS = 0.1
 """[rad²] Sum of squared turns below which nothing shows this distance."""
 N_REWEIGHTED = 10
 """Number of reweighted fits of this distance; it settles within five."""
-MEDIAN_OF_NORMAL = 0.6745
-"""Median size of a normal variable, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +85,7 @@ class Contrast:
         off[:, :2] -= _moved_by_turns(b[:, 2]) @ offset
         longer, turn = (np.maximum(size(a), size(b)) for size in (_way, lambda one: np.abs(one[:, 2])))
         z = np.abs(off) / WheelEstimate().deviations(longer, turn)
-        large = np.asarray(((z > Z) & (np.abs(off) > LEAST)).any(axis=1))
+        large = np.asarray(((z > SIGNIFICANT) & (np.abs(off) > LEAST)).any(axis=1))
         return cls(
             first=first,
             last=last,
@@ -113,7 +110,7 @@ class Contrast:
         if self.is_contradiction.any():
             notes.append(self._contradiction(stamps))
         other = ~self.is_contradiction
-        if other.any() and np.median(self.z[other, :2], axis=0).max() > MEDIAN_OF_NORMAL:
+        if other.any() and np.median(self.z[other, :2], axis=0).max() > 1 / SIGMA_OF_MAD:
             notes.append(
                 f"scans and odometry differ by {100 * np.median(_way(self.off[other])):.0f} cm within {SPAN:.0f} s (median), which wheels do "
                 "not explain: the laser moves on the robot, as on a mast that sways, or its stamps scatter; poses follow the laser"
@@ -182,7 +179,7 @@ def _offset(off: Floats, turns: Floats, overlap: float) -> Floats:
         sigma = robust_sigma(left) + 1e-6
         weight = 1.0 / (1.0 + (left / (2.0 * sigma)) ** 2)
     error = sigma * float(np.sqrt(overlap * np.linalg.inv(information).diagonal().max()))
-    return found if np.hypot(*found) > max(LEAST_OFFSET, Z * error) else np.zeros(2)
+    return found if np.hypot(*found) > max(LEAST_OFFSET, SIGNIFICANT * error) else np.zeros(2)
 
 
 def _way(steps: Floats) -> Floats:

@@ -22,7 +22,7 @@ import numpy as np
 
 from sensorgraph.localization.error_settings import SURFACE_ERRORS, SurfaceErrorSettings
 from sensorgraph.localization.refinement import ReducedSystem, Refined, conjugate_gradients, sums_of
-from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT, RefinementSettings
 from sensorgraph.localization.surface_errors import SurfaceErrors, map_surface_errors, right_hand_sides
 from sensorgraph.types import Floats, Ints
 
@@ -119,7 +119,7 @@ def long_run_variance(steps: Floats, settings: SurfaceErrorSettings = SURFACE_ER
     """
     out = np.ones(steps.shape[1])
     last = min(settings.max_lag, len(steps) // 4)
-    clipped = np.clip(steps, -settings.outlier, settings.outlier)
+    clipped = np.clip(steps, -SIGNIFICANT, SIGNIFICANT)
     clipped = clipped - clipped.mean(axis=0, keepdims=True) if len(steps) else clipped
     square = (clipped**2).sum(axis=0)
     for lag in range(1, last + 1):

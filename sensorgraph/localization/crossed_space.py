@@ -13,6 +13,8 @@ from sensorgraph.types import Bools, Floats
 
 MAX_GAP = float(np.radians(3.0))
 """[rad] Maximum bearing difference between neighbouring returns of a dense laser; in wider gaps the space is unobserved."""
+NOISE_MARGIN = 0.1
+"""[m] Distance from the end of a ray within which a point fits it: noise, and errors of a motion within a second."""
 MIN_VISIBLE = 8
 """Number of visible points from which two views can contradict each other."""
 

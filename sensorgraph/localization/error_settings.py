@@ -35,8 +35,6 @@ class SurfaceErrorSettings:
     """Maximum number of conjugate-gradient steps."""
     max_lag: int = 12
     """[steps] Longest lag of the autocorrelation of the wheels."""
-    outlier: float = 4.0
-    """Standard deviations to which a step of the wheels is clipped before its autocorrelation is computed."""
 
 
 SURFACE_ERRORS = SurfaceErrorSettings()

@@ -27,7 +27,7 @@ from sensorgraph.localization.scan_track import (
     turn_matrices,
 )
 from sensorgraph.localization.scans import ScanPoints, scan_points
-from sensorgraph.localization.settings import FRONT_END, MATCH, FrontEndSettings
+from sensorgraph.localization.settings import EDGE_FLOOR, FRONT_END, MATCH, FrontEndSettings
 from sensorgraph.localization.tracker_state import TrackerState
 from sensorgraph.localization.wheels import WheelEstimate
 from sensorgraph.types import Floats, Progress
@@ -222,7 +222,7 @@ class Tracker:
         information = information_at(self.poses[k], deviations)
         if found is not None:
             information = information + found.information / s.correlation
-        floor = np.diag([s.floor_place**2, s.floor_place**2, s.floor_turn**2])
+        floor = np.diag(np.square(EDGE_FLOOR))
         turn = turn_matrices(-self.poses[key, 2])
         covariance = turn @ (np.linalg.inv(information) + floor) @ turn.T
         return np.asarray(np.linalg.inv(covariance), dtype=np.float64), deviations

@@ -167,7 +167,7 @@ def _status(
         after = good[np.clip(np.searchsorted(good, np.arange(len(stamps))), 0, len(good) - 1)]
         before = good[np.clip(np.searchsorted(good, np.arange(len(stamps)), side="right") - 1, 0, None)]
         near = np.minimum(np.abs(stamps[after] - stamps), np.abs(stamps - stamps[before]))
-        is_ok = (near <= settings.ok_within) & np.isfinite(found.poses[:, 0])
+        is_ok = (near <= settings.patience) & np.isfinite(found.poses[:, 0])
     is_ambiguous = _ambiguous(is_ok, found)
     words: dict[bool, Status] = {True: "ambiguous", False: "lost"}
     return tuple("ok" if ok else words[bool(a)] for ok, a in zip(is_ok, is_ambiguous, strict=True))
@@ -198,7 +198,7 @@ def _rivals_fit(
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(steps.poses[:, :2], axis=0).T))])
     piece = np.cumsum(~steps.is_continuous)
     for k, poses in rivals.items():
-        near = np.flatnonzero((piece == piece[k]) & (np.abs(driven - driven[k]) <= settings.rival_distance))
+        near = np.flatnonzero((piece == piece[k]) & (np.abs(driven - driven[k]) <= settings.usual_distance))
         some = near[np.linspace(0, len(near) - 1, min(settings.rival_scans, len(near))).astype(np.intp)]
         chosen = np.append(some[some != k], k)
         view = local_view(scans, chosen, steps.poses[chosen])

@@ -67,7 +67,7 @@ class KnownMap:
 
         For a return behind a wall of the map:
 
-            p = 0.1 · hit · N(d) + through_wall / ray_length.
+            p = 0.1 · hit · N(d) + (1 - hit - unmapped) / ray_length.
 
         For a ray that leaves the observed space and meets no wall:
 
@@ -85,8 +85,8 @@ class KnownMap:
         out = np.zeros((len(poses), 3))
         s = settings
         peak = s.hit / (s.ray_sigma * np.sqrt(2 * np.pi))
-        shares = np.array([s.unmapped, s.through_wall, 1.0]) / s.ray_length
-        numbers = np.array([peak, *shares, s.before_wall, s.ray_sigma])
+        shares = np.array([s.unmapped, 1.0 - s.hit - s.unmapped, 1.0]) / s.ray_length
+        numbers = np.array([peak, *shares, 5.0 * s.ray_sigma, s.ray_sigma])
         _judge(
             self.field.values,
             self.field.origin,
@@ -131,7 +131,7 @@ def known_map(
         resolution=settings.resolution,
         sigma=settings.ray_sigma,
     )
-    coarse = field_of_points(points, resolution=settings.search_resolution, sigma=settings.search_sigma)
+    coarse = field_of_points(points, resolution=2 * settings.resolution, sigma=settings.search_sigma)
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     window = SearchWindow(x=(x0 + x1) / 2, y=(y0 + y1) / 2, half_x=(x1 - x0) / 2, half_y=(y1 - y0) / 2)
     return KnownMap(

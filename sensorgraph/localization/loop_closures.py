@@ -26,7 +26,7 @@ from sensorgraph.localization.result import Closure
 from sensorgraph.localization.rival_places import ClosureCandidate, RivalPlaces, rival_places
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import CLOSURES, ClosureSettings
+from sensorgraph.localization.settings import CLOSURES, EDGE_FLOOR, ClosureSettings
 from sensorgraph.localization.submaps import Submap, cut_submaps
 from sensorgraph.types import Bools, Floats, Progress
 
@@ -91,7 +91,7 @@ class LoopCloser:
             for b in range(n):
                 for a in self._candidates(b, s.reach):
                     if (a, b) not in self._tried:
-                        self._keep(b, self._search_pair(a, b, s.second_window, s.second_turn), 0.0)
+                        self._keep(b, self._search_pair(a, b, s.window, s.second_turn), 0.0)
                 progress(n + b, 2 * n)
         closures = PoseEdges.of(self.found)
         if self.found:
@@ -206,7 +206,7 @@ class LoopCloser:
             min_score=s.score if score is None else score,
             max_modes=2,
             rival_ratio=s.rivalry,
-            apart=(s.rival_apart, np.radians(10.0)),
+            apart=(s.rival_apart, s.rival_turn),
         )
         self._free_old_pyramids(a, b)
         if not len(modes.scores):
@@ -313,7 +313,7 @@ def information_of(found: Match, s: ClosureSettings) -> Floats:
     covariance: Floats = np.asarray(
         np.linalg.inv(information + (1e-6 + max(-lowest, 0.0)) * np.eye(3)), dtype=np.float64
     )
-    covariance = covariance + np.diag([s.floor_place**2, s.floor_place**2, s.floor_turn**2])
+    covariance = covariance + np.diag(np.square(EDGE_FLOOR))
     if sd * np.sqrt(s.correlation) > s.weak:
         along = np.append(direction, 0.0)
         covariance = covariance + s.no_information**2 * np.outer(along, along)

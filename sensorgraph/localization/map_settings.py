@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sensorgraph.localization.settings import FINAL, FRONT_END
+
 
 @dataclass(frozen=True, kw_only=True)
 class KnownMapSettings:
@@ -12,23 +14,19 @@ class KnownMapSettings:
     spacing: float = 0.04
     """[m] Spacing of the points on the walls to which scans are matched."""
     resolution: float = 0.05
-    """[m] Cell size of the field in which rays are evaluated."""
-    search_resolution: float = 0.1
-    """[m] Cell size of the field of the global search."""
+    """[m] Cell size of the field in which rays are evaluated; the cells of the global search are twice as large."""
     search_sigma: float = 0.12
     """[m] Scatter of returns around the surfaces of that field."""
     ray_sigma: float = 0.07
-    """[m] Scatter of a return around its surface, including the pose error after a fine match."""
+    """[m] Scatter of a return around its surface, including the pose error after a fine match. A ray that ends five times as far
+    behind a wall has crossed it."""
     hit: float = 0.7
     """Share of the returns from surfaces of the map."""
     unmapped: float = 0.25
-    """Share of the returns from objects that are missing from the map: people, furniture."""
-    through_wall: float = 0.05
-    """Share of the returns from behind a wall of the map: moved walls, glass, opened doors."""
+    """Share of the returns from objects that are missing from the map: people, furniture. The others are from behind a wall of
+    the map: moved walls, glass, opened doors."""
     ray_length: float = 10.0
     """[m] Length over which returns without a surface are distributed uniformly."""
-    before_wall: float = 0.35
-    """[m] Minimum distance between a wall and the end of a ray that counts as having crossed the wall."""
 
 
 KNOWN_MAP = KnownMapSettings()
@@ -95,7 +93,7 @@ GLOBAL_SEARCH = GlobalSearchSettings()
 class MapTrackingSettings:
     """Tracking a robot in a known place."""
 
-    min_points: int = 25
+    min_points: int = GLOBAL_SEARCH.min_points
     """Minimum number of points of a scan to be matched."""
     prior_floor: tuple[float, float, float] = (0.01, 0.01, 0.005)
     """[m, m, rad] Standard deviations of the motion from scan to scan, of any length."""
@@ -107,31 +105,30 @@ class MapTrackingSettings:
     """[m] Maximum distance between a match and its prediction; a larger one indicates another wall."""
     max_turn_offset: float = 0.17
     """[rad] Maximum heading difference between a match and its prediction."""
-    inliers: float = 0.5
+    inliers: float = FINAL.inliers
     """Minimum share of inliers among the points near a surface."""
     agreement: float = 0.3
     """Minimum share of inliers among all points."""
-    patience: float = 2.0
-    """[s] Time without an accepted match after which the robot is lost; so it is after `patience_distance`."""
+    patience: float = FRONT_END.patience
+    """[s] Time without an accepted match after which the robot is lost; so it is after `patience_distance`. A scan farther from
+    one that fits the map is lost, too."""
     patience_distance: float = 2.0
     """[m] Distance driven without an accepted match after which the robot is lost."""
     backward_patience: float = 1.0
     """[s] The same time when tracking backwards from where the robot was found."""
-    found_fit: float = 0.6
+    found_fit: float = GLOBAL_SEARCH.accept_fit
     """Minimum `GlobalPlaces.fit` of a place without rivals."""
-    unrivalled_fit: float = 0.4
-    """Minimum fit of a place that leads all others by `unrivalled_lead`; between, the limit is interpolated. An
-    opened door or a moved cupboard lowers the fit of the true place, but a place that fits by chance has
-    rivals with a similar fit."""
     unrivalled_lead: float = 0.5
-    """Lead at which `unrivalled_fit` applies. Places that fit by chance with `unrivalled_fit` lead by at most 0.21, at
-    160 places of three logs outside the map (`localize_in_map --swap`)."""
+    """Lead over all other places at which a fit of `near_fit` is enough; between, the limit is interpolated. An opened door or
+    a moved cupboard lowers the fit of the true place, but a place that fits by chance has rivals with a similar fit: with
+    `near_fit` they lead by at most 0.21, at 160 places of three logs outside the map (`localize_in_map --swap`)."""
     mirror_looks: int = 2
     """Number of short drives that are searched as seen in a mirror."""
     mirror_lead: float = 0.2
     """Minimum lead of a mirrored fit."""
     near_fit: float = 0.4
-    """Minimum fit of a place that agrees with the odometry since the robot was lost."""
+    """Minimum fit of a place that agrees with the odometry since the robot was lost, or that leads all others; and of a scan
+    with a confirmed pose. When the robot is lost, all poses after the last such scan are discarded."""
     expected_fit: float = 0.3
     """Minimum fit of a place within `expected_distance` and `expected_turn` of the odometry pose, if no place of
     the map fits better. Such a coincidence is unlikely."""
@@ -151,19 +148,16 @@ class MapTrackingSettings:
     """[rad/m] Additional heading drift per distance driven."""
     fit_memory: float = 1.0
     """[s] Time constant of the averaged fit."""
-    probation_distance: float = 5.0
-    """[m] Distance after the robot was found within which the averaged fit must stay above `near_fit`."""
     min_fit: float = 0.2
     """Averaged fit below which the robot is lost."""
     usual_distance: float = 5.0
-    """[m] Distance over which the usual fit is averaged; it falls slowly where a map ends."""
+    """[m] Distance over which the usual fit is averaged, which falls slowly where a map ends. Within it, a robot that was found
+    must keep an averaged fit above `near_fit`, and scans around a search with several answers must fit one of these by
+    `found_fit`."""
     loss_share: float = 0.5
     """Share of the usual fit below which the averaged fit indicates that the robot is elsewhere."""
-    confirmed_fit: float = 0.4
-    """Minimum fit of a scan with a confirmed pose. When the robot is lost, all poses after the last such scan
-    are discarded."""
     confirmed_share: float = 0.75
-    """Minimum share of the usual fit for such a scan."""
+    """Minimum share of the usual fit for a confirmed pose."""
     search_distance: float = 0.3
     """[m] Distance between searches while the robot is lost; it doubles after each failed search."""
     search_turn: float = 0.35
@@ -182,14 +176,11 @@ class MapTrackingSettings:
     """Every n-th search covers the whole map, even if the odometry limits where the robot can be."""
     view_scans: int = 5
     """Maximum number of scans that are searched together."""
-    rival_distance: float = 5.0
-    """[m] Distance around a search with several answers within which scans must fit one of these by
-    `found_fit`."""
     rival_scans: int = 12
-    """Maximum number of these scans."""
+    """Maximum number of the scans around such a search."""
     rematch_deviations: tuple[float, float, float] = (0.05, 0.05, 0.02)
     """[m, m, rad] Standard deviations of the smoothed track, as prior of the last matches."""
-    correlation: float = 2.0
+    correlation: float = FRONT_END.correlation
     """Factor by which the information of a match is reduced, since neighbouring scans share surfaces."""
     place_floor: tuple[float, float, float] = (0.0007, 0.0007, 0.0002)
     """[m, m, rad] Minimum standard deviations of a pose in a map."""
@@ -202,8 +193,6 @@ class MapTrackingSettings:
     of a few returns each are displaced as a whole."""
     map_turn: float = 0.3
     """[rad/m] Standard deviation of the heading per standard deviation of the position."""
-    ok_within: float = 2.0
-    """[s] Maximum time to a scan that fits the map; a scan farther away is lost."""
 
 
 MAP_TRACKING = MapTrackingSettings()

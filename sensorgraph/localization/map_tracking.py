@@ -133,7 +133,7 @@ class MapTracker:
                 last_good = k
                 continue
             fit = self._track_from(k, k + 1)
-            if fit is not None and fit >= s.confirmed_fit:
+            if fit is not None and fit >= s.near_fit:
                 last_good = k
                 continue
             self.information[k] = 0.0
@@ -151,9 +151,9 @@ class MapTracker:
             )
             step = self.driven[k] - self.driven[k - 1]
             state.usual_fit += (fit - state.usual_fit) * min(float(step) / s.usual_distance, 1.0)
-            if fit >= max(s.confirmed_fit, s.confirmed_share * state.usual_fit):
+            if fit >= max(s.near_fit, s.confirmed_share * state.usual_fit):
                 state.last_confirmed = k
-        is_proven = self.driven[k] - self.driven[state.found_at] > s.probation_distance
+        is_proven = self.driven[k] - self.driven[state.found_at] > s.usual_distance
         least = max(s.min_fit if is_proven else state.probation_fit, s.loss_share * state.usual_fit)
         if state.fit >= least and not self._is_overdue(k):
             return
@@ -270,7 +270,7 @@ def min_fit_of(found: GlobalPlaces, settings: MapTrackingSettings = MAP_TRACKING
     """Return the minimum fit of a globally found place; it decreases with the place's lead."""
     s = settings
     share = np.clip(found.lead / s.unrivalled_lead, 0.0, 1.0) if len(found.poses) else 0.0
-    return float(s.found_fit + share * (s.unrivalled_fit - s.found_fit))
+    return float(s.found_fit + share * (s.near_fit - s.found_fit))
 
 
 def _is_expected(pose: Floats, window: SearchWindow, settings: MapTrackingSettings) -> bool:

@@ -21,7 +21,7 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.contrast import Contrast
-from sensorgraph.localization.crossed_space import crossed, moved_points
+from sensorgraph.localization.crossed_space import NOISE_MARGIN, crossed, moved_points
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.odometry import odometry_of
@@ -37,8 +37,6 @@ from sensorgraph.types import Bools, Floats, Ints, Progress
 class MovingReturnSettings:
     """Which of scans and odometry is right."""
 
-    margin: float = 0.1
-    """[m] Distance from the end of a ray up to which a reading fits it: noise, and the odometry's error within a second."""
     min_supporting: float = 4.0
     """Mean number of readings that support one motion between two scans; fewer may be chance ..."""
     min_share: float = 0.1
@@ -94,7 +92,7 @@ def without_moving_returns(
         for k in np.flatnonzero(useless).tolist():
             dropped[whole.of(k)] = True
         for k in np.flatnonzero(thin).tolist():
-            dropped[whole.of(k)] = _goes_along(whole, k, contrast, odometry, wheels, settings)
+            dropped[whole.of(k)] = _goes_along(whole, k, contrast, odometry, wheels)
         thinned |= thin
         scans = whole.without(dropped)
         followed = replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress))
@@ -155,7 +153,7 @@ def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSetting
     least = min(s.min_supporting, s.min_share * len(scans.points) / scans.n_scans)
     for start, stop in true_intervals(within):
         own = chosen[(contrast.first[chosen] >= start) & (contrast.last[chosen] < stop)]
-        counts = np.array([_supporting(scans, contrast, int(one), s) for one in own])
+        counts = np.array([_supporting(scans, contrast, int(one)) for one in own])
         of_scans, of_moving_scans, of_odometry, n_seen, n_through = counts.mean(axis=0)
         is_mismatch = n_through > s.see_through * n_seen
         if of_odometry >= max(least, 0.0 if is_mismatch else s.min_ratio * of_moving_scans):
@@ -168,7 +166,7 @@ def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSetting
     return found
 
 
-def _supporting(scans: ScanPoints, contrast: Contrast, one: int, settings: MovingReturnSettings) -> Ints:
+def _supporting(scans: ScanPoints, contrast: Contrast, one: int) -> Ints:
     """Count (5,) the readings that support the scans, those of them that do not fit a standing robot, and those for the odometry.
 
     The last two are those that the other scan sees at the motion by the scans, and those of them in space that its rays crossed.
@@ -177,9 +175,9 @@ def _supporting(scans: ScanPoints, contrast: Contrast, one: int, settings: Movin
     i, j = int(contrast.first[one]), int(contrast.last[one])
     seen, driven = contrast.by_scans[one], contrast.by_odometry[one]
     for of, to, a, b in ((j, i, seen, driven), (i, j, invert(seen), invert(driven))):
-        by_scans, not_scans = _fits(scans, of, to, a, settings)
-        by_odometry, not_odometry = _fits(scans, of, to, b, settings)
-        standing, _ = _fits(scans, of, to, np.zeros(3), settings)
+        by_scans, not_scans = _fits(scans, of, to, a)
+        by_odometry, not_odometry = _fits(scans, of, to, b)
+        standing, _ = _fits(scans, of, to, np.zeros(3))
         for_scans, for_odometry = by_scans & not_odometry, by_odometry & not_scans
         total += [
             for_scans.sum(),
@@ -191,12 +189,10 @@ def _supporting(scans: ScanPoints, contrast: Contrast, one: int, settings: Movin
     return total
 
 
-def _fits(
-    scans: ScanPoints, of: int, to: int, motion: Floats, settings: MovingReturnSettings
-) -> tuple[Bools, Bools]:
+def _fits(scans: ScanPoints, of: int, to: int, motion: Floats) -> tuple[Bools, Bools]:
     """Tell which points of a scan fit another, at `motion` (3,) from it, and which its rays crossed."""
     points = moved_points(scans.points[scans.of(of)], motion)
-    seen, through = crossed(points, np.zeros(3), scans, scans.of(to), settings.margin)
+    seen, through = crossed(points, np.zeros(3), scans, scans.of(to), NOISE_MARGIN)
     return seen & ~through, through
 
 
@@ -206,7 +202,6 @@ def _goes_along(
     contrast: Contrast,
     odometry: Floats,
     wheels: WheelParameters,
-    settings: MovingReturnSettings,
 ) -> Bools:
     """Tell which points of scan k the odometry places where rays of the scans about a second before or after it crossed."""
     ends = [*contrast.last[contrast.first == k], *contrast.first[contrast.last == k]]
@@ -215,7 +210,7 @@ def _goes_along(
         first, last = min(k, other), max(k, other)
         step = compose(invert(odometry[first]), odometry[last])
         step = corrected_steps(step, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
-        along |= _fits(scans, k, other, step if other == first else invert(step), settings)[1]
+        along |= _fits(scans, k, other, step if other == first else invert(step))[1]
     return along
 
 

@@ -30,6 +30,7 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_settings import CHECK, OdometryCheckSettings
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import SIGNIFICANT
 from sensorgraph.types import Floats
 
 N_REWEIGHTED = 15
@@ -65,14 +66,14 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
     if turns is not None and np.abs(turns.seen[:, 2]).sum() > s.min_turn:
         seen, driven = turns.seen[:, 2], turns.driven[:, 2]
-        turn_factor = _factor(_ratio(seen, driven, s.moving_turn, s), "turns", TURN_UNITS, notes, s)
+        turn_factor = _factor(_ratio(seen, driven, s.moving, s), "turns", TURN_UNITS, notes, s)
         is_opposite = _correlation(seen, driven) < s.opposite
-        if is_opposite and _agrees(seen, -turn_factor * driven, s.moving_turn, s):
+        if is_opposite and _agrees(seen, -turn_factor * driven, s.moving, s):
             ways = _ways(run, motion, 1.0, s)
             raise SensorgraphError(
                 _opposite_text(None if ways is None else _direction(ways.seen, ways.driven, s))
             )
-        if not _agrees(seen, turn_factor * driven, s.moving_turn, s):
+        if not _agrees(seen, turn_factor * driven, s.moving, s):
             if turns.confirms_odometry:
                 return run, (_confirmed("turns"),)
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
@@ -81,15 +82,13 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     limit = s.max_direction if _has_stated_mount(run) else s.right_angle
     if direction is not None and abs(direction[0]) > max(limit, 3.0 * direction[1]):
         run = _with_yaw(run, *direction, notes, s)
-    elif direction is not None and abs(direction[0]) > max(s.noted_direction, s.noted_errors * direction[1]):
+    elif direction is not None and abs(direction[0]) > max(s.noted_direction, SIGNIFICANT * direction[1]):
         notes.append(_turned_text(*direction))
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in (ways.seen, ways.driven))
         if seen.sum() > s.min_distance:
-            way_factor = _factor(
-                _ratio(seen, driven, s.moving_distance, s), "distances", DISTANCE_UNITS, notes, s
-            )
-        if not _agrees(seen, way_factor * driven, s.moving_distance, s):
+            way_factor = _factor(_ratio(seen, driven, s.moving, s), "distances", DISTANCE_UNITS, notes, s)
+        if not _agrees(seen, way_factor * driven, s.moving, s):
             if turn_factor == 1.0 and ways.confirms_odometry:
                 return run, (_confirmed("distances"),)
             return _without_odometry(run), (_disagreement(seen, driven, "distances", "metres"),)
@@ -136,7 +135,7 @@ def _with_heading(run: Run, motion: Motion, notes: list[str], settings: Odometry
     turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2], settings)
     if turns is None:
         return motion
-    ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2], settings.moving_turn, settings)
+    ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2], settings.moving, settings)
     if abs(np.log(ratio / factor)) > settings.tolerance:
         return motion
     notes.append(heading_note(factor))
@@ -152,9 +151,7 @@ def _along_course(
     direction = None if ways is None else _direction(ways.seen, ways.driven, s)
     if ways is None or (direction is not None and abs(direction[0]) < s.noted_direction):
         return run, motion, ways
-    steps = Steps(
-        stamps=ways.stamps[:: s.every], seen=ways.seen, moving=s.moving_distance, fewest=s.min_moving
-    )
+    steps = Steps(stamps=ways.stamps[:: s.every], seen=ways.seen, moving=s.moving, fewest=s.min_moving)
     found = with_course(motion, turn_factor, steps)
     if found is None:
         return run, motion, ways
@@ -175,7 +172,7 @@ def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) ->
     """
     s = settings
     a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (seen, driven))
-    use = (np.abs(a) > s.moving_distance) & (np.abs(b) > 0)
+    use = (np.abs(a) > s.moving) & (np.abs(b) > 0)
     if use.any():
         ratio = np.log(np.abs(b[use]) / np.abs(a[use]))
         use[use] = np.abs(ratio - np.median(ratio)) < np.log(s.max_ratio)  # no jumps of the odometry
@@ -216,9 +213,9 @@ def check_turns(wheels: WheelParameters | None) -> None:
 
     Raises
     ------
-    SensorgraphError : The turn scale is negative by `noted_errors` standard errors.
+    SensorgraphError : The turn scale is negative by `SIGNIFICANT` standard errors.
     """
-    if wheels is not None and wheels.turn_scale < -CHECK.noted_errors * wheels.turn_scale_sd:
+    if wheels is not None and wheels.turn_scale < -SIGNIFICANT * wheels.turn_scale_sd:
         raise SensorgraphError(_opposite_text(None))
 
 

@@ -23,10 +23,8 @@ class OdometryCheckSettings:
     """Maximum deviation from the factor of a unit, in the logarithm."""
     opposite: float = -0.6
     """Correlation of the turns below which one of the two is mirrored."""
-    moving_turn: float = 0.05
-    """[rad] Minimum turn of a step by the scans for a step-by-step comparison."""
-    moving_distance: float = 0.05
-    """[m] Minimum distance of a step by the scans for a step-by-step comparison."""
+    moving: float = 0.05
+    """[m, rad] Minimum motion of a step by the scans for a step-by-step comparison."""
     max_ratio: float = 3.0
     """Maximum ratio of such a step between odometry and scans, and its inverse."""
     min_agreeing: float = 0.5
@@ -36,9 +34,7 @@ class OdometryCheckSettings:
     max_direction: float = 0.5
     """[rad] Maximum angle between the motion by the scans and by the odometry, for a stated mount."""
     noted_direction: float = 0.035
-    """[rad] A smaller angle between these motions is not worth a note ..."""
-    noted_errors: float = 4.0
-    """... nor one of fewer standard errors."""
+    """[rad] A smaller angle between these motions is not worth a note."""
     max_unexplained: float = 0.6
     """Maximum error of a step, relative to its length, for a comparison of directions."""
     min_error: float = 0.02

@@ -13,16 +13,12 @@ import numpy as np
 from sensorgraph.localization.patches import assign, cut_patches
 from sensorgraph.localization.scan_track import determines_all
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT, RefinementSettings
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
 NEAR = 16
 """Number of key frames before and after whose patches determine the direction of a corridor."""
-
-
-MIN_TURN_Z = 4.0
-"""Standard errors from which the open motion of a corridor turns."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,7 +185,7 @@ def _is_straight(blocks: Floats) -> bool:
     turn = -total[2] @ along / max(total[2, 2], 1e-12)
     scores = blocks[:, 2] @ (along + [0.0, 0.0, turn])
     error = np.sqrt(len(blocks) * (scores**2).sum()) / max(total[2, 2], 1e-12)
-    return bool(abs(turn) < MIN_TURN_Z * error)
+    return bool(abs(turn) < SIGNIFICANT * error)
 
 
 def _fit_patches(

@@ -28,8 +28,8 @@ from sensorgraph.localization.scan_lag import N_STEPS, ScanLag, scan_lag, with_s
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FRONT_END
-from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG, RayTimeSettings
-from sensorgraph.localization.turning_pieces import CLASSES, LinearisedPieces, TurningPieces, sweep_basis
+from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES, SCAN_LAG, RayTimeSettings
+from sensorgraph.localization.turning_pieces import LinearisedPieces, TurningPieces, sweep_basis
 from sensorgraph.types import Floats, Progress
 
 ROUNDS = 3

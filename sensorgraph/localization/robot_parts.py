@@ -15,7 +15,7 @@ from logs.motion import Motion
 from logs.run import Pairing, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.crossed_space import MIN_VISIBLE, crossed, moved_points
+from sensorgraph.localization.crossed_space import MIN_VISIBLE, NOISE_MARGIN, crossed, moved_points
 from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
@@ -36,8 +36,6 @@ MIN_SAME = 0.03
 """... and the share of the readings of such a part that must be."""
 ELSEWHERE = ((0.5, 0.5), (1.0, 1.0), (2.0, 2.0))
 """[m, rad] Motions between a reading and a scan that looks at its place; a wide part needs large turns."""
-THROUGH_MARGIN = 0.1
-"""[m] Minimum length of a ray behind a place that it looks through."""
 MIN_THROUGH = 0.5
 """Minimum share of the places that other rays look through, of those that they see ..."""
 MIN_OF_ALL = 0.1
@@ -135,8 +133,8 @@ def parts_of_robot(
         ends = aims[:, :2] + run.ranges[i, rays, None] * away
         for j in _elsewhere(i, poses, pieces):
             points = moved_points(ends, compose(invert(poses[j]), poses[i]))
-            by_any[rays] += crossed(points, np.zeros(3), whole, whole.of(j), THROUGH_MARGIN)[0]
-            visible, free = crossed(points, np.zeros(3), others, others.of(j), THROUGH_MARGIN)
+            by_any[rays] += crossed(points, np.zeros(3), whole, whole.of(j), NOISE_MARGIN)[0]
+            visible, free = crossed(points, np.zeros(3), others, others.of(j), NOISE_MARGIN)
             seen[rays] += visible
             through[rays] += free
     parts = np.full(sensor.n_rays, np.nan)

@@ -21,6 +21,7 @@ from logs.run import Run
 from logs.transforms import wrap
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.scan_track import ScanTrack
+from sensorgraph.localization.settings import CAUCHY, SIGNIFICANT
 from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
@@ -88,7 +89,7 @@ def _linear_lag(
         return None
     drifting, covariance = _robust_fit(x, y, segment, s)
     drift, stderr = drifting[2] / drifting[0], np.sqrt(covariance[2, 2]) / drifting[0]
-    is_drifting = drifting[0] > s.min_slope and abs(drift) > max(s.z * stderr, s.min_lag)
+    is_drifting = drifting[0] > s.min_slope and abs(drift) > max(SIGNIFICANT * stderr, s.min_lag)
     beta, covariance = (drifting, covariance) if is_drifting else _robust_fit(x[:, :2], y, segment, s)
     if not beta[0] > s.min_slope:
         return None
@@ -107,7 +108,7 @@ def _robust_fit(x: Floats, y: Floats, segment: Ints, settings: ScanLagSettings) 
         beta = inverse @ (x.T @ (weight * y))
         left = y - x @ beta
         scale = robust_sigma(left) + 1e-9
-        weight = 1.0 / (1.0 + (left / (s.outlier * scale)) ** 2)
+        weight = 1.0 / (1.0 + (left / (CAUCHY * scale)) ** 2)
     scores = np.stack(
         [(x[segment == i] * (weight * left)[segment == i, None]).sum(axis=0) for i in range(s.segments)]
     )
@@ -133,7 +134,7 @@ def with_stamp_of(
     text = f"{1e3 * lag.value:+.0f} ± {1e3 * lag.stderr:.1f} ms"
     if lag.drift:
         text += f", drifting by {1e3 * lag.drift:+.0f} ± {1e3 * lag.drift_stderr:.1f} ms over the log"
-    elif abs(lag.value) < max(settings.z * lag.stderr, settings.min_lag):
+    elif abs(lag.value) < max(SIGNIFICANT * lag.stderr, settings.min_lag):
         return run, ()
     elif sensor.scan_duration > settings.min_lag:
         first, last = float(delays.min()), float(delays.max())
@@ -141,7 +142,7 @@ def with_stamp_of(
         where, second, _ = sorted(shifts, key=lambda name: abs(shifts[name] - lag.value))
         rest = abs(lag.value - shifts[where])
         is_latency = rest < min(settings.latency, 0.5 * abs(lag.value - shifts[second]))
-        is_equal = rest < max(settings.z * lag.stderr, settings.relative_error * (last - first))
+        is_equal = rest < max(SIGNIFICANT * lag.stderr, settings.relative_error * (last - first))
         if is_equal or (is_latency and shifts[where] != 0.0):
             shifted = replace(sensor, first_ray_delay=sensor.first_ray_delay + shifts[where])
             return replace(run, sensor=shifted), (

@@ -10,6 +10,12 @@ from sensorgraph.types import Floats
 
 UNKNOWN_NORMAL_LENGTH = 0.3
 """Length of the vector that replaces a unit normal where only the viewing side of a point is known."""
+SIGNIFICANT = 4.0
+"""Standard errors beyond which a difference is not chance."""
+CAUCHY = 3.0
+"""Standard deviations at which Cauchy's weight is 1/2."""
+EDGE_FLOOR = (0.004, 0.004, 0.0007)
+"""[m, m, rad] Minimum standard deviations of an edge of the pose graph."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,12 +118,8 @@ class WheelSettings:
     """Lower bound of the estimated wheel noise, relative to the standard deviations above."""
     max_scatter: float = 3.0
     """Upper bound of the estimated wheel noise, relative to the standard deviations above."""
-    slip: float = 3.0
-    """Number of standard deviations per axis at which Cauchy's weight of a step is 1/2."""
     unknown_sd: float = 1.0
     """[m, rad] Standard deviation of a step without odometry."""
-    outlier: float = 4.0
-    """Number of standard deviations beyond which a step is excluded from calibration as slip."""
     stretches: int = 12
     """Number of segments of a log with independent slip; their differences give the standard errors."""
 
@@ -154,9 +156,7 @@ class FrontEndSettings:
     are 8 to 12 off; they are matched again from the poses of the scans around them (`mapping.py`)."""
     slip_reach: tuple[float, float, float] = (1.0, 1.0, 0.5)
     """[m, m, rad] Greatest slip ahead, to the left and in heading. After a gap in the scans, `max_slip` standard deviations are
-    many metres, but a long way averages ..."""
-    gap_errors: float = 4.0
-    """... and errs by more than this reach only within so many standard deviations."""
+    many metres, but a long way averages and errs by more than this only within `SIGNIFICANT` standard deviations."""
     min_overlap: float = 0.3
     """Minimum share of the points with a surface near them."""
     min_share_elsewhere: float = 0.85
@@ -182,10 +182,6 @@ class FrontEndSettings:
     """[rad/s] Standard deviation of the change of turn rate between scans, without odometry."""
     correlation: float = 2.0
     """Factor by which the information of a match is reduced, since its residuals are correlated."""
-    floor_place: float = 0.004
-    """[m] Minimum standard deviation of an edge between key frames."""
-    floor_turn: float = 0.0007
-    """[rad] Minimum standard deviation of its turn."""
     broken_place: float = 1.0
     """[m] Standard deviation of the edge between two track segments."""
     broken_turn: float = 0.5
@@ -194,7 +190,7 @@ class FrontEndSettings:
     def most_slip(self, deviations: Floats) -> Floats:
         """Return the greatest slip (3,) [m, m, rad] for the standard deviations (3,) of a motion by the odometry."""
         usual = np.minimum(self.max_slip * deviations, self.slip_reach)
-        return np.asarray(np.maximum(usual, self.gap_errors * deviations))
+        return np.asarray(np.maximum(usual, SIGNIFICANT * deviations))
 
 
 FRONT_END = FrontEndSettings()
@@ -231,7 +227,7 @@ class ClosureSettings:
     reach: float = 4.0
     """[m] Distance between the middles of two submaps that can observe the same surfaces."""
     window: float = 0.4
-    """[m] Minimum half width of the search."""
+    """[m] Minimum half width of the search, and that of the second pass, after the first has closed the loops."""
     window_per_metre: float = 0.015
     """[m/m] Growth of the half width per distance driven since the last closure."""
     max_window: float = 12.0
@@ -265,7 +261,7 @@ class ClosureSettings:
     drift_per_metre: float = 0.0075
     """[m/m] Expected drift of the track per distance driven since the last closure; two places within it are
     rivals."""
-    inliers: float = 0.6
+    inliers: float = FRONT_END.min_inliers
     """Minimum share of inliers among the points near surfaces."""
     overlap: float = 0.4
     """Minimum share of the points with a surface near them."""
@@ -283,17 +279,11 @@ class ClosureSettings:
     0.22 in aces and 0.07 in fr079; the same closures displaced by 0.5 m have a median of 0.58."""
     margin: float = 0.15
     """[m] Distance before the end of a ray up to which the ray counts as having crossed space."""
-    floor_place: float = 0.004
-    """[m] Minimum standard deviation."""
-    floor_turn: float = 0.0007
-    """[rad] Minimum standard deviation of the heading."""
     kept_pyramids: int = 128
     """Number of recently used submaps whose likelihood fields are kept; each takes 2 to 5 MB, and a day of
     driving has thousands."""
     solve_every: int = 4
     """Number of submaps between optimizations of the pose graph during the search."""
-    second_window: float = 0.4
-    """[m] Half width of the second pass, after the first has closed the loops."""
     second_turn: float = 0.035
     """[rad] Heading half width of the second pass."""
 
@@ -350,7 +340,7 @@ class FinalSettings:
     """[rad] Standard deviation of its heading."""
     inliers: float = 0.5
     """Minimum share of inliers among the points near surfaces."""
-    overlap: float = 0.3
+    overlap: float = FRONT_END.min_overlap
     """Minimum share of the points with a surface near them."""
     min_joining_closures: int = 2
     """Number of consistent loop closures that join a track segment to the map after a break."""

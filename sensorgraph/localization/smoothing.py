@@ -19,14 +19,11 @@ from scipy.linalg import solveh_banded
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.scan_track import ScanTrack
-from sensorgraph.localization.settings import SMOOTHING, SmoothingSettings
+from sensorgraph.localization.settings import CAUCHY, SMOOTHING, SmoothingSettings
 from sensorgraph.types import Bools, Floats
 
 ITERATIONS = 6
 """Maximum number of Gauss-Newton steps. Poses start within centimetres, so that two or three steps suffice."""
-CAUCHY = 3.0
-"""[standard deviations] Scale of Cauchy's function: the deviation per axis at which the weight of a place is
-1/2."""
 _COLUMNS = np.arange(3)
 
 

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from scipy.special import chdtri
+
+from sensorgraph.localization.settings import WHEELS
+
+CLASSES = 4
+"""Number of ray classes, by ray number modulo this: the maximum number of interlaced sweeps."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RayTimeSettings:
@@ -37,12 +44,11 @@ class RayTimeSettings:
     min_gain: float = 25.0
     """Minimum advantage of a laser over no sweep and over any other laser, as twice the log likelihood: five
     standard errors."""
-    agrees: float = 9.5
+    agrees: float = float(chdtri(CLASSES, 0.05))
     """Squared Mahalanobis distance up to which the times of the log are kept after the first step: 95 % of
-    chi-squared with four degrees of freedom."""
-    max_distance: float = 18.5
-    """Maximum squared Mahalanobis distance between estimate and laser: 99.9 % of chi-squared with four
-    degrees of freedom."""
+    chi-squared with the time of each class."""
+    max_distance: float = float(chdtri(CLASSES, 0.001))
+    """Maximum squared Mahalanobis distance between estimate and laser: 99.9 % of chi-squared."""
 
 
 RAY_TIMES = RayTimeSettings()
@@ -62,14 +68,10 @@ class ScanLagSettings:
     """[rad/s] Minimum root mean square change of the turn rate between two scans."""
     min_slope: float = 0.3
     """Minimum ratio of the turns of laser and odometry."""
-    segments: int = 12
+    segments: int = WHEELS.stretches
     """Number of segments of the log for the standard error."""
     rounds: int = 8
     """Number of rounds of robust weighting."""
-    outlier: float = 3.0
-    """Robust standard deviations at which a step has half the weight."""
-    z: float = 4.0
-    """Standard errors of a significant lag."""
     min_lag: float = 0.01
     """[s] Minimum lag that is reported."""
     relative_error: float = 0.2

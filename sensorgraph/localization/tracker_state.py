@@ -49,4 +49,4 @@ class TrackerState:
         if deviations is None or self.wheels is None:
             return
         noise = np.sqrt(np.maximum(deviations**2 - (self.slip * since) ** 2, 0.0))
-        self.slip = slip_of(off, noise, self.wheels.settings) / since
+        self.slip = slip_of(off, noise) / since

@@ -22,12 +22,9 @@ from sensorgraph.localization.refinement import (
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.settings import REFINEMENT
-from sensorgraph.localization.time_settings import RAY_TIMES, RayTimeSettings
+from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES, RayTimeSettings
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Floats, Ints
-
-CLASSES = 4
-"""Number of ray classes, by ray number modulo this: the maximum number of interlaced sweeps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,7 +14,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scan_track import ScanTrack
-from sensorgraph.localization.settings import FRONT_END, WHEELS, WheelSettings
+from sensorgraph.localization.settings import CAUCHY, FRONT_END, SIGNIFICANT, WHEELS, WheelSettings
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_distance
 from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Bools, Floats, Ints
@@ -108,7 +108,7 @@ class WheelSteps:
         off[:, 2] = wrap(off[:, 2])
         scale = self._scatter(off / sd)
         z = off / (sd * scale)
-        soft = 1.0 / (1.0 + (z**2).sum(axis=1) / (3.0 * s.slip**2))
+        soft = 1.0 / (1.0 + (z**2).sum(axis=1) / (3.0 * CAUCHY**2))
         information = np.zeros((n, 3, 3))
         for axis in range(3):
             information[:, axis, axis] = soft / (sd[:, axis] * scale[axis]) ** 2
@@ -154,7 +154,7 @@ class WheelSteps:
         """
         if self.is_seen is None or self.deviations is None:
             return
-        slips = (np.abs(off) > self.settings.outlier * sd).any(axis=1) & ~self.is_seen.all(axis=1)
+        slips = (np.abs(off) > SIGNIFICANT * sd).any(axis=1) & ~self.is_seen.all(axis=1)
         for axis in range(3):
             least = np.maximum(self.deviations[slips, axis], sd[slips, axis]) ** -2.0
             information[slips, axis, axis] = np.minimum(information[slips, axis, axis], least)

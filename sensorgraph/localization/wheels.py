@@ -15,7 +15,7 @@ import numpy as np
 
 from logs.transforms import wrap
 from sensorgraph.localization.result import WheelParameters
-from sensorgraph.localization.settings import WHEELS, WheelSettings
+from sensorgraph.localization.settings import SIGNIFICANT, WHEELS, WheelSettings
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Bools, Floats
 
@@ -54,7 +54,7 @@ class WheelEstimate:
         way = float(signed_distance(step))
         sd = self.deviations(abs(way), float(step[2]))
         off = measured - self.corrected(step)
-        if slip_of(off, sd, self.settings).any():
+        if slip_of(off, sd).any():
             return
         weight = sd[0] ** -2
         self._way_information += weight * step[0] ** 2
@@ -67,7 +67,7 @@ class WheelEstimate:
         self.turn_scale, self.heading_bias = np.linalg.solve(self._turn_information, self._turn_moment)
 
 
-def slip_of(off: Floats, deviations: Floats, settings: WheelSettings = WHEELS) -> Floats:
+def slip_of(off: Floats, deviations: Floats) -> Floats:
     """Return the size (3,) [m, m, rad] of an error of the odometry; zeros if all of it may be noise.
 
     Parameters
@@ -76,7 +76,7 @@ def slip_of(off: Floats, deviations: Floats, settings: WheelSettings = WHEELS) -
     deviations : (3,) Standard deviations of the prediction.
     """
     size = np.abs([off[0], off[1], wrap(off[2])])
-    return np.asarray(size if (size > settings.outlier * deviations).any() else np.zeros(3))
+    return np.asarray(size if (size > SIGNIFICANT * deviations).any() else np.zeros(3))
 
 
 def is_standing(steps: Floats, settings: WheelSettings = WHEELS) -> Bools:
@@ -113,7 +113,7 @@ def identify_wheels(
     measured ones because the noise is in the wheels. The reverse regression would bias every scale towards
     zero by slip (errors in variables, Fuller 1987).
 
-    The priors separate turns and distances that always occur together. Steps beyond `settings.outlier` robust
+    The priors separate turns and distances that always occur together. Steps beyond `SIGNIFICANT` robust
     standard deviations are excluded as slip, and so are those of wheels that stand while the robot is carried: they
     say nothing about scales. Slip depends on the floor, so that the standard errors are cluster-robust over
     `settings.stretches` segments of the log (Liang and Zeger 1986).
@@ -171,7 +171,7 @@ def _regress(
     for _ in range(4):
         off = np.abs(values - rows @ theta)
         scale = max(robust_sigma(off[kept]), least) if kept.any() else 1.0
-        kept = off < settings.outlier * scale
+        kept = off < SIGNIFICANT * scale
         information = rows[kept].T @ rows[kept] / scale**2 + prior
         moment = rows[kept].T @ values[kept] / scale**2 + prior @ before
         theta = np.asarray(np.linalg.solve(information, moment), dtype=np.float64)
