@@ -18,6 +18,7 @@ from planners import plan as make_plan
 from planners.arena import Arena
 from planners.coverage import Coverage
 from planners.maps import geojson
+from planners.planning import WALL_MARGIN
 from sensorgraph.building.build import build
 from sensorgraph.demo_effect import HiddenEffect, hide_and_find
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
@@ -41,8 +42,6 @@ STAGES = ("plan", "run", "graph", "review", "diagnosis")
 """Stages with a file to look at, in their order."""
 COMPARISON = "comparison"
 """Last stage of the full demo."""
-MARGIN = 0.02
-"""[m] Distance between checked poses and walls in addition to the robot's radius."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,7 +205,7 @@ def check_run(
     n, poses = (n, np.zeros((0, 3))) if poses is None else (len(poses), poses)
     while len(poses) < n:
         some = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (n, 3))
-        free = [clearance(x, y) > robot.footprint_radius + MARGIN for x, y in some[:, :2]]
+        free = [clearance(x, y) > robot.footprint_radius + WALL_MARGIN for x, y in some[:, :2]]
         poses = np.concatenate([poses, some[free & arena.contains(some[:, :2])]])
     poses = poses[:n]
     stamps: Floats = np.arange(n) / robot.sensor.rate

@@ -44,7 +44,7 @@ def overview(
         here = views.poses[int(views.gains(survey).argmax())]
     survey.mark(here[None])
     while driven < until:
-        length = min(max(OVERVIEW.first_round, OVERVIEW.growth * driven), until - driven)
+        length = min(max(OVERVIEW.first_round, driven), until - driven)
         chosen = views.poses[_choose(views, survey.copy(), views.gains(survey), here, length)]
         drive = _drive(chosen, here, task) if len(chosen) else None
         if drive is None:

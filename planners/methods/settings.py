@@ -110,9 +110,7 @@ class OverviewSettings:
     """End of the last round of spins, as a share of the reference time; with more, the office takes more than
     1.25 of it."""
     first_round: float = 100.0
-    """[s] duration of the first round."""
-    growth: float = 1.0
-    """Duration of each later round of views, as a share of the drive before it."""
+    """[s] duration of the first round; each later one lasts as long as the drive before it."""
     spin_growth: float = 0.5
     """Duration of each round of spins, as a share of the drive before it."""
     candidates: int = 2500

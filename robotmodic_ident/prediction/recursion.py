@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.moments import ROWS_PER_BLOCK
 from robotmodic_ident.prediction import kernels
 from robotmodic_ident.records import Record
 from robotmodic_ident.scale import Scale
@@ -17,8 +18,6 @@ from robotmodic_ident.types import Floats
 NOISE_NAME = "e"
 """The variable of noise terms: the residual at past samples."""
 UNLIMITED = (-np.inf, np.inf)
-ROWS_PER_BLOCK = 4096
-"""Rows per block of gradients, if all of them would not fit into memory."""
 MAX_KEPT = 4_000_000
 """Maximum number of stored values of the input part; larger ones are evaluated again in every run, block by block."""
 KIND_OF_FUNCTION = {

@@ -8,17 +8,13 @@ from collections.abc import Sequence
 
 from sensorgraph.amending.expressions import PARTS, UnknownNameError, is_sum, names_in
 from sensorgraph.amending.findings import CannotHoldError
-from sensorgraph.amending.text import Why, note, number_text
+from sensorgraph.amending.text import ROUND_OFF, Why, is_same, note, number_text
 from sensorgraph.amending.xacro import Document, Value
 
 ALONE = re.compile(r"\$\{\s*(-?)\s*([A-Za-z_]\w*)\s*\}|\$\(\s*(arg\s+\w+)\s*\)")
 """A value that is one name, possibly with a minus."""
-PROPORTION = 1e-9
-"""Relative deviation up to which an expression is proportional to a name."""
 RATIOS = (1.0, 0.5, 2.0)
 """Size over a property that states it: radius or diameter, distance of the wheels or half of it."""
-CHANGE = 1e-9
-"""Change of a number below which it is not written."""
 
 
 def number(value: Value) -> float | None:
@@ -37,7 +33,7 @@ def put(document: Document, value: Value, new: float, why: Why) -> None:
     CannotHoldError : The text is expanded several times, and so sets the number of other elements, too.
     """
     old = number(value)
-    if old is not None and abs(new - old) <= CHANGE * max(1.0, abs(old)):
+    if old is not None and is_same(old, new):
         return
     alone = ALONE.fullmatch(value.text.strip())
     if alone:
@@ -115,7 +111,7 @@ def _property_of(value: Value, old: float) -> Value | None:
         base = None if bound is None else number(bound)
         if bound is None or not base or (bound.owner is not None and abs(base) == 1):
             continue  # a macro's parameter of 1 or -1 states the side
-        is_ratio = any(abs(abs(old / base) - ratio) <= PROPORTION for ratio in RATIOS)
+        is_ratio = any(abs(abs(old / base) - ratio) <= ROUND_OFF for ratio in RATIOS)
         if is_ratio and _is_proportional(value, bound, base, old):
             found.append(bound)
     return found[0] if len(found) == 1 else None
@@ -129,7 +125,7 @@ def _is_proportional(value: Value, bound: Value, base: float, old: float) -> boo
         del bound.file.edits[bound.span]
     else:
         bound.file.edits[bound.span] = kept
-    return doubled is not None and abs(doubled - 2 * old) <= PROPORTION * abs(old)
+    return doubled is not None and abs(doubled - 2 * old) <= ROUND_OFF * abs(old)
 
 
 def _put_at(document: Document, bound: Value, new: float, why: Why) -> None:

@@ -10,6 +10,9 @@ from pathlib import Path
 MARK = "sensorgraph amend: "
 """Start of each comment that an amendment writes."""
 
+ROUND_OFF = 1e-9
+"""Relative change of a number below which it is not written."""
+
 State = tuple[dict[tuple[int, int], str], dict[int, list[str]]]
 """Pending edits and comments."""
 
@@ -135,6 +138,11 @@ def declared_encoding(data: bytes) -> str:
     """Return the encoding that an XML declaration names; UTF-8 without one."""
     declared = re.match(rb"<\?xml[^>]*encoding\s*=\s*[\"']([\w.\-]+)", data)
     return declared.group(1).decode() if declared else "utf-8"
+
+
+def is_same(old: float, new: float) -> bool:
+    """Tell whether a new number is the old one but for round-off."""
+    return abs(new - old) <= ROUND_OFF * max(1.0, abs(old))
 
 
 def number_text(value: float) -> str:

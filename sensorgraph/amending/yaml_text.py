@@ -9,12 +9,8 @@ from typing import Any
 import yaml
 
 from sensorgraph.amending.findings import CannotHoldError
-from sensorgraph.amending.text import TextFile, Why, decimal, note, number_text
+from sensorgraph.amending.text import TextFile, Why, decimal, is_same, note, number_text
 from sensorgraph.errors import SensorgraphError
-
-CHANGE = 1e-9
-"""Relative change of a number below which it is not written."""
-
 
 PROPERTIES = re.compile(r"(?:[&!]\S*\s+)*")
 """Anchor and tag in front of a value."""
@@ -94,7 +90,7 @@ class YamlFile:
         """Write a number, with a comment at the end of its line."""
         span = self.span(node)
         old = as_number(node)
-        if old is not None and abs(value - old) <= CHANGE * max(1.0, abs(old)):
+        if old is not None and is_same(old, value):
             return
         text = decimal(value) if "." in node.value or "e" in node.value else number_text(value)
         self.file.replace(span, text, note(node.value, why), self.file.line_end(span[1]))

@@ -20,7 +20,7 @@ from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.in_sequence import SequenceScores, sequence_predictions
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums, Reliability
-from sensorgraph.graph import Sensorgraph
+from sensorgraph.graph import POSES_AT_A_TIME, Sensorgraph
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats, Ints, Progress
@@ -32,8 +32,6 @@ MIN_SCORED_RANGE = 0.1
 """[m] Shorter returns are not scored: they are the robot's own body or broken readings."""
 MAX_SCORED_RANGE = 10.0
 """[m] Longer returns are not scored, unless another cap is given."""
-SCANS_AT_A_TIME = 2048
-"""Number of scans predicted together, so that memory does not grow with the run."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,10 +153,10 @@ def evaluate(
     calibration = Reliability()
     residual = np.full((len(index), run.sensor.n_rays), np.nan)
     answered_rays = np.zeros(residual.shape, dtype=np.bool_)
-    for first in range(0, len(index), SCANS_AT_A_TIME):
+    for first in range(0, len(index), POSES_AT_A_TIME):
         if progress is not None:
             progress(first, len(index))
-        some = slice(first, first + SCANS_AT_A_TIME)
+        some = slice(first, first + POSES_AT_A_TIME)
         measured = run.ranges[index[some]]
         prediction = predict_scans(graph, run, pairing, index[some], point=point or "mode")
         scored = np.isfinite(measured) & (measured > MIN_SCORED_RANGE) & (measured < cap)

@@ -21,6 +21,7 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.kernel import kernel
+from planners.methods.settings import OVERVIEW
 from planners.reach import Reach
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
@@ -33,8 +34,7 @@ SPACE_CELL = 0.05  # [m] side of a cell of space
 SURFACE_CELL = 0.02  # [m] side of a cell of surface
 MIN_RAYS = 3  # number of rays through a cell of space after which it is known
 SPACE_WORTH = 2.0  # gain per metre of unknown space on a ray, up to one metre
-N_CANDIDATES = 2500  # number of candidate poses, or
-CANDIDATES_PER_VIEW = 5  # this number per view, if larger
+CANDIDATES_PER_VIEW = 5  # minimum number of candidate poses for each view
 MIN_RAY_WEIGHT = 0.02  # minimum weight of an answered ray; an unanswered one has 1
 
 Caster = Callable[[Floats], Floats]
@@ -62,7 +62,7 @@ def views_within(
         raise PlanError(f"`views` is {n}, expected 1 or more")
     rng = np.random.default_rng(seed)
     nodes = np.nonzero(reach.mask)
-    pick = rng.integers(len(nodes[0]), size=max(N_CANDIDATES, CANDIDATES_PER_VIEW * n))
+    pick = rng.integers(len(nodes[0]), size=max(OVERVIEW.candidates, CANDIDATES_PER_VIEW * n))
     places = reach.nodes((nodes[0][pick], nodes[1][pick]))
     candidates = np.column_stack([places, rng.uniform(-np.pi, np.pi, len(places))])
     if graph is None:

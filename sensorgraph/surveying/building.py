@@ -61,17 +61,14 @@ def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
     expected, wall = cast_laser(walls, lasers, sensor.bearings, sensor.range_max)
     angle = lasers[:, 2:] + sensor.bearings
     hit = np.isfinite(ranges)
-    ends = lasers[:, None, :2] + np.where(hit, ranges, 0.0)[..., None] * np.stack(
-        [np.cos(angle), np.sin(angle)], axis=-1
-    )
+    ways = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    ends = lasers[:, None, :2] + np.where(hit, ranges, 0.0)[..., None] * ways
     tree = cKDTree(points_on(walls, SPACING))
     far = np.zeros(ranges.shape, dtype=bool)
     far[hit] = tree.query(ends[hit], distance_upper_bound=CLEAR)[0] > CLEAR
     is_new = far & (ranges < expected - CLEAR) & np.isfinite(expected)
     is_gone = hit & np.isfinite(expected) & (ranges > expected + BEYOND)
-    at_wall = lasers[:, None, :2] + np.where(np.isfinite(expected), expected, 0.0)[..., None] * np.stack(
-        [np.cos(angle), np.sin(angle)], axis=-1
-    )
+    at_wall = lasers[:, None, :2] + np.where(np.isfinite(expected), expected, 0.0)[..., None] * ways
     usable = hit & np.isfinite(expected)
     off = np.where(usable, ranges - np.where(usable, expected, 0.0), 0.0)
     offset = range_offset(off, expected, angle, walls, wall, usable & (np.abs(off) < CLEAR))

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from sensorgraph.surveying.building import CELL
 from sensorgraph.surveying.quantities import Label
 from sensorgraph.types import Floats
 
 WIDTH, HEIGHT, LEFT, BOTTOM, TOP = 400.0, 150.0, 46.0, 20.0, 8.0
 MAP_WIDTH = 900.0
 INK, SOFT, CALM, ALARM, NEW, GONE = "#23262f", "#6d7282", "#2a788e", "#d1345b", "#e07b00", "#1f5fc4"
-CELL = 0.25
-"""[m]"""
 
 
 def trend(points: Sequence[tuple[float, float, float, str]], changes: Sequence[float], label: Label) -> str:
