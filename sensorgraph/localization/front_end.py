@@ -262,7 +262,7 @@ class Tracker:
             edge, deviations = self._edge(k, None if is_new else found)
             is_carried = is_new and self._is_carried(k, deviations)
             if is_new and not is_carried:
-                edge = np.diag(np.array([s.broken_place, s.broken_place, s.broken_turn]) ** -2.0)
+                edge = np.diag(np.array(s.unknown_motion) ** -2.0)
             state.edges.append(edge)
             state.motion_deviations.append(deviations)
             state.is_carried.append(is_carried)
@@ -290,7 +290,7 @@ class Tracker:
         if determines_all(self.state.projections[-1]) or not determines_all(found.projection):
             return False
         unknown = self.settings.speed_sd * (self.stamps[k] - self.state.determined_at)
-        return not self._is_odometry_whole(key, k) and bool(unknown > self.settings.broken_place)
+        return not self._is_odometry_whole(key, k) and bool(unknown > self.settings.unknown_motion[0])
 
     def _is_carried(self, k: int, deviations: Floats) -> bool:
         """Tell whether the odometry carries the pose to scan k: it is accurate enough, and the robot drove.
@@ -305,8 +305,7 @@ class Tracker:
         moved = compose(invert(self.odometry[last]), self.odometry[then])
         still = max(self.stamps[then] - self.stamps[last], self.interval) / s.still_time
         drove = np.hypot(*moved[:2]) > s.still_distance * still or abs(moved[2]) > s.still_turn * still
-        limits = np.array([s.broken_place, s.broken_place, s.broken_turn])
-        return bool(drove and (deviations < limits).all())
+        return bool(drove and (deviations < s.unknown_motion).all())
 
     def _handle_failure(self, k: int) -> None:
         """Wait for a match, or begin a new track segment."""

@@ -120,7 +120,7 @@ class LoopCloser:
         for b, submap in enumerate(self.submaps):
             way = float(self.way[submap.middle] - self.way[last])
             drift = 2.0 * float(np.sqrt(self.variance[submap.middle] - self.variance[last]))
-            window = s.window + s.window_per_metre * way
+            window = s.window + 2.0 * s.drift_per_metre * way
             turn = s.turn_window + s.turn_window_per_metre * way
             breaks = np.diff(self.track.piece[last : submap.middle + 1]) > 0
             if breaks.any():  # the wheels alone measured the motion

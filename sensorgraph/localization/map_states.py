@@ -86,9 +86,7 @@ def map_states(
     right = np.minimum(left + 1, len(keys) - 1)
     piece = tracked.piece[left]
     deviations = np.sqrt(np.einsum("nii->ni", covariances))
-    is_near = (deviations[:, :2].max(axis=1) < FRONT_END.broken_place) & (
-        deviations[:, 2] < FRONT_END.broken_turn
-    )
+    is_near = (deviations < FRONT_END.unknown_motion).all(axis=1)
     is_broken = np.append((np.diff(tracked.piece) > 0) & ~tracked.is_carried, False)
     is_carried = ~matched & is_near & ~is_broken[left] & has_odometry
     directions = open_directions(projections, len(keys))

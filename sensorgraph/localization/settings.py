@@ -92,7 +92,7 @@ class WheelSettings:
 
     way_scale_sd: float = 0.1
     """Prior standard deviation of the distance scale."""
-    turn_scale_sd: float = 0.1
+    turn_scale_sd: float = way_scale_sd
     """Prior standard deviation of the turn scale."""
     heading_bias_sd: float = 0.05
     """[rad/m] Prior standard deviation of the heading bias."""
@@ -154,9 +154,10 @@ class FrontEndSettings:
     """Deviation of a match from its odometry pose, in standard deviations of the odometry, beyond which it counts only if the
     odometry is contradicted: a narrow laser in a cave had wrong matches from 8 on. Of 4,934 scans of fr079, a dozen right ones
     are 8 to 12 off; they are matched again from the poses of the scans around them (`mapping.py`)."""
-    slip_reach: tuple[float, float, float] = (1.0, 1.0, 0.5)
-    """[m, m, rad] Greatest slip ahead, to the left and in heading. After a gap in the scans, `max_slip` standard deviations are
-    many metres, but a long way averages and errs by more than this only within `SIGNIFICANT` standard deviations."""
+    unknown_motion: tuple[float, float, float] = (1.0, 1.0, 0.5)
+    """[m, m, rad] Standard deviations of a motion that is not known, as between two track segments; also the greatest slip
+    ahead, to the left and in heading. After a gap in the scans, `max_slip` standard deviations are many metres, but a long way
+    averages and errs by more than this only within `SIGNIFICANT` standard deviations."""
     min_overlap: float = 0.3
     """Minimum share of the points with a surface near them."""
     min_share_elsewhere: float = 0.85
@@ -182,14 +183,10 @@ class FrontEndSettings:
     """[rad/s] Standard deviation of the change of turn rate between scans, without odometry."""
     correlation: float = 2.0
     """Factor by which the information of a match is reduced, since its residuals are correlated."""
-    broken_place: float = 1.0
-    """[m] Standard deviation of the edge between two track segments."""
-    broken_turn: float = 0.5
-    """[rad] Standard deviation of its turn."""
 
     def most_slip(self, deviations: Floats) -> Floats:
         """Return the greatest slip (3,) [m, m, rad] for the standard deviations (3,) of a motion by the odometry."""
-        usual = np.minimum(self.max_slip * deviations, self.slip_reach)
+        usual = np.minimum(self.max_slip * deviations, self.unknown_motion)
         return np.asarray(np.maximum(usual, SIGNIFICANT * deviations))
 
 
@@ -228,8 +225,6 @@ class ClosureSettings:
     """[m] Distance between the middles of two submaps that can observe the same surfaces."""
     window: float = 0.4
     """[m] Minimum half width of the search, and that of the second pass, after the first has closed the loops."""
-    window_per_metre: float = 0.015
-    """[m/m] Growth of the half width per distance driven since the last closure."""
     max_window: float = 12.0
     """[m] Maximum half width."""
     turn_window: float = 0.05
@@ -260,7 +255,7 @@ class ClosureSettings:
     other."""
     drift_per_metre: float = 0.0075
     """[m/m] Expected drift of the track per distance driven since the last closure; two places within it are
-    rivals."""
+    rivals, and the half width of the search grows by twice as much."""
     inliers: float = FRONT_END.min_inliers
     """Minimum share of inliers among the points near surfaces."""
     overlap: float = 0.4
