@@ -93,7 +93,7 @@ def test_honest_scans_have_no_older_part(kind: str) -> None:
 def test_without_returns_only_the_prior_says_when_rays_were_taken() -> None:
     run = run_of(np.zeros(N_RAYS))
     tracked = track_run(run, lambda done, total: None)
-    pieces = TurningPieces.of(run, tracked.odometry, tracked.track, RAY_TIMES)
+    pieces = TurningPieces.of(run, tracked.odometry, tracked.track)
     assert pieces is not None
     blind = replace(pieces, run=replace(pieces.run, ranges=np.full_like(pieces.run.ranges, np.inf)))
     motion = Motion(stamps=run.odom_stamps, poses=run.odometry)

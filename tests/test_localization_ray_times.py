@@ -20,7 +20,6 @@ from sensorgraph.localization.locate import locate, located_run, summary
 from sensorgraph.localization.ray_times import TrackedRun, _judge, hypotheses, track_run
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scan_lag import ScanLag, with_stamp_of
-from sensorgraph.localization.time_settings import RAY_TIMES
 from sensorgraph.show.figures.localization import _returns
 from sensorgraph.types import Floats
 
@@ -318,8 +317,8 @@ def test_a_small_error_of_the_delays_of_classes_does_not_keep_an_invented_sweep(
     """The run shows no sweep; 0.4 ms between the ray classes is 3 % of a mirror period, and the motion has an error of 10 %."""
     stated = replace(run_of(np.zeros(N_RAYS)).sensor, sweep_time=0.1)
     values, errors = np.array([-0.7e-3, 0.0, 0.4e-3, 0.1e-3]), np.array([1.4e-3, 6e-5, 6e-5, 6e-5])
-    found = _judge(stated, values, errors, np.diag(errors**2), RAY_TIMES)
+    found = _judge(stated, values, errors, np.diag(errors**2))
     assert found is not None and abs(found.sensor.sweep_time) < 2e-3
     values[[1, 3]] = LMS  # a whole period, as of interlaced sweeps
-    found = _judge(stated, values, errors, np.diag(errors**2), RAY_TIMES)
+    found = _judge(stated, values, errors, np.diag(errors**2))
     assert found is None or found.sensor.interlaced_sweeps > 1

@@ -20,9 +20,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.localization.error_settings import SURFACE_ERRORS, SurfaceErrorSettings
+from sensorgraph.localization.error_settings import SURFACE_ERRORS
 from sensorgraph.localization.refinement import ReducedSystem, Refined, conjugate_gradients, sums_of
-from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT, RefinementSettings
+from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT
 from sensorgraph.localization.surface_errors import SurfaceErrors, map_surface_errors, right_hand_sides
 from sensorgraph.types import Floats, Ints
 
@@ -35,7 +35,7 @@ MAX_LEVERAGE = 0.8
 
 
 def key_frame_covariances(
-    refined: Refined, maps: Ints, rng: np.random.Generator, settings: RefinementSettings = REFINEMENT
+    refined: Refined, maps: Ints, rng: np.random.Generator
 ) -> tuple[Floats, Floats, Floats]:
     """Return the covariances of the key frames and the standard deviations of the wheel parameters.
 
@@ -52,9 +52,9 @@ def key_frame_covariances(
     system = refined.system
     n = system.n_frames
     errors = map_surface_errors(system, refined.preconditioner, rng)
-    draws, wheel_draws = bootstrap_scores(system, errors, rng, settings.samples)
+    draws, wheel_draws = bootstrap_scores(system, errors, rng, REFINEMENT.samples)
     samples, _ = conjugate_gradients(
-        system, draws, refined.preconditioner, settings.tolerance, settings.max_steps
+        system, draws, refined.preconditioner, REFINEMENT.tolerance, REFINEMENT.max_steps
     )
     parameters = system.wheel_inverse @ (wheel_draws - system.wheel_coupling.T @ samples)
     deviations = np.concatenate([samples.reshape(n, 3, -1), refined.last_step[:, :, None]], axis=2)
@@ -65,7 +65,7 @@ def key_frame_covariances(
         deviations[own] = without_rigid_motion(deviations[own], refined.poses[own], counted)
     drawn, step = deviations[:, :, :-1], deviations[:, :, -1]
     unsettled = np.einsum("fi,fj->fij", step, step)
-    covariances = np.einsum("fim,fjm->fij", drawn, drawn) / settings.samples
+    covariances = np.einsum("fim,fjm->fij", drawn, drawn) / REFINEMENT.samples
     alone = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
     values, vectors = np.linalg.eigh(covariances - alone)
     shared = np.einsum("fij,fj,fkj->fik", vectors, np.maximum(values, 0.0), vectors)
@@ -112,13 +112,13 @@ def bootstrap_scores(
     return out - system.wheel_coupling @ (system.wheel_inverse @ by_wheels), by_wheels
 
 
-def long_run_variance(steps: Floats, settings: SurfaceErrorSettings = SURFACE_ERRORS) -> Floats:
+def long_run_variance(steps: Floats) -> Floats:
     """Return the variance of a sum of steps (n, 3), relative to independent steps; at least 1.
 
     The estimate is 1 + 2 sum_l (1 - l / (L + 1)) r_l with the autocorrelations r_l up to lag L (Newey and West 1987).
     """
     out = np.ones(steps.shape[1])
-    last = min(settings.max_lag, len(steps) // 4)
+    last = min(SURFACE_ERRORS.max_lag, len(steps) // 4)
     clipped = np.clip(steps, -SIGNIFICANT, SIGNIFICANT)
     clipped = clipped - clipped.mean(axis=0, keepdims=True) if len(steps) else clipped
     square = (clipped**2).sum(axis=0)

@@ -15,7 +15,7 @@ from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.global_search import fit_at, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_check import best_fit, looks, mirrored
-from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
+from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, interval_notes
@@ -35,7 +35,6 @@ def locate_in_map(
     normals: Floats | None = None,
     name: str = "the map",
     progress: ProgressBars = no_progress,
-    settings: MapTrackingSettings = MAP_TRACKING,
 ) -> Localization:
     """Estimate all poses of a run in a known place, without an initial pose.
 
@@ -54,26 +53,26 @@ def locate_in_map(
         raise SensorgraphError("the run has no scan; expected messages on /scan")
     place = known_map(walls, seen, normals)
     with progress("looking for the scans in the map", "drives"):
-        fit = best_fit(looks(run, settings), place, settings)
-        if fit < settings.near_fit:
-            raise SensorgraphError(_no_fit(run, place, fit, name, settings))
+        fit = best_fit(looks(run), place)
+        if fit < MAP_TRACKING.near_fit:
+            raise SensorgraphError(_no_fit(run, place, fit, name))
     with progress("following the scans", "scans") as tick:
         followed = with_motion_of_scans(track_run(run, tick), tick)
     odometry, scans, steps = followed.odometry, followed.scans, followed.track
     with progress(f"locating in {name}", "scans") as tick:
-        found = MapTracker(scans, run.stamps, steps, place, settings).run(tick)
+        found = MapTracker(scans, run.stamps, steps, place).run(tick)
     if np.isnan(found.poses[:, 0]).all():
-        fit = _rivals_fit(scans, steps, place, found.rivals, settings)
-        if fit < settings.found_fit:
-            raise SensorgraphError(_no_fit(run, place, max(fit, found.best_fit), name, settings))
+        fit = _rivals_fit(scans, steps, place, found.rivals)
+        if fit < MAP_TRACKING.found_fit:
+            raise SensorgraphError(_no_fit(run, place, max(fit, found.best_fit), name))
     poses = _filled(found, steps)
     with progress("smoothing", "scans") as tick:
-        start = _smoothed(poses, steps, found.breaks, found.poses, found.information, settings)[0]
+        start = _smoothed(poses, steps, found.breaks, found.poses, found.information)[0]
         start[np.isnan(found.poses[:, 0])] = np.nan
         matches = rematch(scans, start, place, tick)
-    poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information, settings)
-    covariances = covariances + _map_error(matches, steps.noise, settings)
-    status = _status(run.stamps, matches.information, found, settings)
+    poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information)
+    covariances = covariances + _map_error(matches, steps.noise)
+    status = _status(run.stamps, matches.information, found)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
     if 2 * sum(word == "ok" for word in status) < run.n_scans:
         text = f"most scans are not located: at best, a short drive fits {name} to {fit:.0%}, as parts of another building may"
@@ -98,7 +97,6 @@ def _smoothed(
     breaks: Bools,
     places: Floats,
     information: Floats,
-    settings: MapTrackingSettings,
 ) -> tuple[Floats, Floats]:
     """Return poses and covariances of the whole run."""
     relative, step_information = steps_of(steps, breaks)
@@ -106,13 +104,15 @@ def _smoothed(
         information
     )  # along a wall the information can have a negative eigenvalue
     weighted = (
-        (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) / settings.correlation
+        (vectors * np.maximum(values, 0.0)[:, None, :])
+        @ vectors.transpose(0, 2, 1)
+        / MAP_TRACKING.correlation
     )
     result = smooth(poses, relative, step_information, np.where(np.isfinite(places), places, 0.0), weighted)
     return result.poses, result.covariances
 
 
-def _map_error(matches: MapMatches, own_noise: Floats, settings: MapTrackingSettings) -> Floats:
+def _map_error(matches: MapMatches, own_noise: Floats) -> Floats:
     """Return the covariances (n, 3, 3) added by errors of the map.
 
     Displaced walls scatter the returns. The position deviation `off` follows from
@@ -129,7 +129,7 @@ def _map_error(matches: MapMatches, own_noise: Floats, settings: MapTrackingSett
     with `own` accounts for them. The fewer returns lie on walls, the less the others correct, hence the
     division by `agreement`. An unmatched scan takes interpolated values of its neighbours.
     """
-    s, noise, known = settings, matches.noise, np.isfinite(matches.noise)
+    s, noise, known = MAP_TRACKING, matches.noise, np.isfinite(matches.noise)
     usual = float(np.median(noise[known])) if known.any() else 0.0
     own = min(float(np.nanmedian(own_noise)), usual) if np.isfinite(own_noise).any() else usual
     excess = np.maximum(np.fmax(noise, usual) ** 2 - own**2, 0.0)
@@ -157,9 +157,7 @@ def _filled(found: MapTrack, steps: ScanTrack) -> Floats:
     return poses
 
 
-def _status(
-    stamps: Floats, information: Floats, found: MapTrack, settings: MapTrackingSettings
-) -> tuple[Status, ...]:
+def _status(stamps: Floats, information: Floats, found: MapTrack) -> tuple[Status, ...]:
     """Return the status of each scan: ok if it fits the map or is close in time to one that does."""
     good = np.flatnonzero(information.any(axis=(1, 2)))
     is_ok = np.zeros(len(stamps), dtype=np.bool_)
@@ -167,7 +165,7 @@ def _status(
         after = good[np.clip(np.searchsorted(good, np.arange(len(stamps))), 0, len(good) - 1)]
         before = good[np.clip(np.searchsorted(good, np.arange(len(stamps)), side="right") - 1, 0, None)]
         near = np.minimum(np.abs(stamps[after] - stamps), np.abs(stamps - stamps[before]))
-        is_ok = (near <= settings.patience) & np.isfinite(found.poses[:, 0])
+        is_ok = (near <= MAP_TRACKING.patience) & np.isfinite(found.poses[:, 0])
     is_ambiguous = _ambiguous(is_ok, found)
     words: dict[bool, Status] = {True: "ambiguous", False: "lost"}
     return tuple("ok" if ok else words[bool(a)] for ok, a in zip(is_ok, is_ambiguous, strict=True))
@@ -188,7 +186,6 @@ def _rivals_fit(
     steps: ScanTrack,
     place: KnownMap,
     rivals: Mapping[int, Floats],
-    settings: MapTrackingSettings,
 ) -> float:
     """Return the best fit of the drive around a search at the places that the search found.
 
@@ -198,8 +195,10 @@ def _rivals_fit(
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(steps.poses[:, :2], axis=0).T))])
     piece = np.cumsum(~steps.is_continuous)
     for k, poses in rivals.items():
-        near = np.flatnonzero((piece == piece[k]) & (np.abs(driven - driven[k]) <= settings.usual_distance))
-        some = near[np.linspace(0, len(near) - 1, min(settings.rival_scans, len(near))).astype(np.intp)]
+        near = np.flatnonzero(
+            (piece == piece[k]) & (np.abs(driven - driven[k]) <= MAP_TRACKING.usual_distance)
+        )
+        some = near[np.linspace(0, len(near) - 1, min(MAP_TRACKING.rival_scans, len(near))).astype(np.intp)]
         chosen = np.append(some[some != k], k)
         view = local_view(scans, chosen, steps.poses[chosen])
         for pose in poses:
@@ -207,16 +206,16 @@ def _rivals_fit(
     return max(fits)
 
 
-def _no_fit(run: Run, place: KnownMap, fit: float, name: str, settings: MapTrackingSettings) -> str:
+def _no_fit(run: Run, place: KnownMap, fit: float, name: str) -> str:
     """Return the message that the scans fit nowhere, or only when mirrored."""
-    least = max(fit + settings.mirror_lead, settings.found_fit)
-    few = replace(settings, looks=settings.mirror_looks, near_fit=least)
+    least = max(fit + MAP_TRACKING.mirror_lead, MAP_TRACKING.found_fit)
+    few = replace(MAP_TRACKING, looks=MAP_TRACKING.mirror_looks, near_fit=least)
     if best_fit((mirrored(look) for look in looks(run, few)), place, few) >= least:
         return (
             f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; state this in "
             "robot.yaml or in the transform"
         )
-    if fit >= settings.found_fit:
+    if fit >= MAP_TRACKING.found_fit:
         return (
             f"the scans fit nowhere in {name} along a drive: a single view fits by {fit:.0%}, but the next ones do not "
             "continue there. The map is of another place, or of another scale; give the map of the recorded place in metres, "
@@ -224,6 +223,6 @@ def _no_fit(run: Run, place: KnownMap, fit: float, name: str, settings: MapTrack
         )
     return (
         f"the scans fit nowhere in {name}: the best fit (share of returns on walls, minus twice the share through walls) is "
-        f"{max(fit, 0):.0%}, expected {settings.found_fit:.0%}. The map is of another place, or of another scale; give the "
+        f"{max(fit, 0):.0%}, expected {MAP_TRACKING.found_fit:.0%}. The map is of another place, or of another scale; give the "
         "map of the recorded place in metres, or no map"
     )

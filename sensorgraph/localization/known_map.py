@@ -17,7 +17,7 @@ from sensorgraph.localization.likelihood_field import (
     points_with_owners,
 )
 from sensorgraph.localization.line_map import LineMap, line_map
-from sensorgraph.localization.map_settings import KNOWN_MAP, KnownMapSettings
+from sensorgraph.localization.map_settings import KNOWN_MAP
 from sensorgraph.localization.seen_space import SeenSpace, is_ray_seen
 from sensorgraph.types import Floats
 
@@ -55,9 +55,7 @@ class KnownMap:
     seen: SeenSpace = EVERYWHERE
     """Observed space."""
 
-    def judge(
-        self, poses: Floats, points: Floats, starts: Floats, settings: KnownMapSettings = KNOWN_MAP
-    ) -> RayVerdicts:
+    def judge(self, poses: Floats, points: Floats, starts: Floats) -> RayVerdicts:
         """Evaluate a view at several poses by the beam model (Thrun, Burgard and Fox 2005, ch. 6.3).
 
         The log likelihood of a pose is the sum of log p over the returns. For a return in free space or on a
@@ -83,7 +81,7 @@ class KnownMap:
         starts : (n, 2) [m] Origins of their rays in base_link.
         """
         out = np.zeros((len(poses), 3))
-        s = settings
+        s = KNOWN_MAP
         peak = s.hit / (s.ray_sigma * np.sqrt(2 * np.pi))
         shares = np.array([s.unmapped, 1.0 - s.hit - s.unmapped, 1.0]) / s.ray_length
         numbers = np.array([peak, *shares, 5.0 * s.ray_sigma, s.ray_sigma])
@@ -108,7 +106,6 @@ def known_map(
     walls: Floats,
     seen: SeenSpace | None = None,
     normals: Floats | None = None,
-    settings: KnownMapSettings = KNOWN_MAP,
 ) -> KnownMap:
     """Prepare a known map.
 
@@ -125,13 +122,13 @@ def known_map(
     """
     if len(walls) == 0:
         raise SensorgraphError("the map has no wall; expected a map with walls")
-    points, owner = points_with_owners(walls, settings.spacing)
+    points, owner = points_with_owners(walls, KNOWN_MAP.spacing)
     fine = field_of_points(
-        points_on(walls, settings.resolution / 2),
-        resolution=settings.resolution,
-        sigma=settings.ray_sigma,
+        points_on(walls, KNOWN_MAP.resolution / 2),
+        resolution=KNOWN_MAP.resolution,
+        sigma=KNOWN_MAP.ray_sigma,
     )
-    coarse = field_of_points(points, resolution=2 * settings.resolution, sigma=settings.search_sigma)
+    coarse = field_of_points(points, resolution=2 * KNOWN_MAP.resolution, sigma=KNOWN_MAP.search_sigma)
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     window = SearchWindow(x=(x0 + x1) / 2, y=(y0 + y1) / 2, half_x=(x1 - x0) / 2, half_y=(y1 - y0) / 2)
     return KnownMap(

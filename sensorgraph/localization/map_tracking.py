@@ -14,7 +14,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import GlobalPlaces, find_places, fit_of, local_view
 from sensorgraph.localization.known_map import KnownMap
-from sensorgraph.localization.map_settings import MAP_TRACKING, MapTrackingSettings
+from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.scan_track import ScanTrack, information_at
 from sensorgraph.localization.scans import ScanPoints
@@ -86,10 +86,9 @@ class MapTracker:
         stamps: Floats,
         track: ScanTrack,
         place: KnownMap,
-        settings: MapTrackingSettings = MAP_TRACKING,
     ) -> None:
         n = scans.n_scans
-        self.scans, self.stamps, self.track, self.place, self.settings = scans, stamps, track, place, settings
+        self.scans, self.stamps, self.track, self.place = scans, stamps, track, place
         self.breaks = ~track.is_continuous
         self.is_new_piece = np.zeros(n, dtype=np.bool_)
         self.is_new_piece[track.key_frames[1:][np.diff(track.piece) != 0]] = True
@@ -126,7 +125,7 @@ class MapTracker:
 
     def _track_backwards(self) -> None:
         """Track backwards from where the robot was found, across single scans that do not fit."""
-        s, last_good = self.settings, len(self.poses) - 1
+        s, last_good = MAP_TRACKING, len(self.poses) - 1
         for k in range(len(self.poses) - 2, -1, -1):
             if not np.isnan(self.poses[k, 0]) or np.isnan(self.poses[k + 1, 0]) or self.breaks[k + 1]:
                 self.poses[k + 1 : last_good] = np.nan  # unmatched scans at the end of backward tracking
@@ -142,7 +141,7 @@ class MapTracker:
 
     def _track_next(self, k: int) -> None:
         """Track scan k; update the averaged fit, or declare the robot lost."""
-        s, state = self.settings, self.state
+        s, state = MAP_TRACKING, self.state
         fit = self._track_from(k, k - 1)
         if fit is not None:
             state.last_good = k
@@ -163,7 +162,7 @@ class MapTracker:
 
     def _track_from(self, k: int, neighbour: int) -> float | None:
         """Place scan k by a neighbouring scan and a match; return its fit, or None without an accepted match."""
-        s = self.settings
+        s = MAP_TRACKING
         step = compose(invert(self.track.poses[neighbour]), self.track.poses[k])
         predicted = compose(self.poses[neighbour], step)
         self.poses[k] = predicted
@@ -187,12 +186,12 @@ class MapTracker:
     def _is_overdue(self, k: int) -> bool:
         """Tell whether the last scan that fits is too far back in time or distance."""
         last = self.state.last_good
-        waited = self.stamps[k] - self.stamps[last] > self.settings.patience
-        return bool(waited or self.driven[k] - self.driven[last] > self.settings.patience_distance)
+        waited = self.stamps[k] - self.stamps[last] > MAP_TRACKING.patience
+        return bool(waited or self.driven[k] - self.driven[last] > MAP_TRACKING.patience_distance)
 
     def _search(self, k: int) -> None:
         """Search where the odometry allows, and periodically the whole map; skip if the robot has not moved."""
-        s, state = self.settings, self.state
+        s, state = MAP_TRACKING, self.state
         if self.scans.first[k + 1] - self.scans.first[k] < s.min_points or not self._is_due(k):
             return
         chosen = np.array([*state.view[-(s.view_scans - 1) :], k], dtype=np.intp)
@@ -203,13 +202,13 @@ class MapTracker:
         window = self._window(k)
         if window is None:
             found = find_places(view, self.place)
-            if self._accept(k, found, min_fit_of(found, s)) and found.fit < s.found_fit:
+            if self._accept(k, found, min_fit_of(found)) and found.fit < s.found_fit:
                 state.probation_fit = s.min_fit
             return
         found = find_places(view, self.place, window=window)
         if self._accept(k, found, s.near_fit):
             return
-        is_expected = found.fit >= s.expected_fit and _is_expected(found.poses[0], window, s)
+        is_expected = found.fit >= s.expected_fit and _is_expected(found.poses[0], window)
         if not is_expected and state.n_searches % s.every_nth_everywhere != 0:
             return
         anywhere = find_places(view, self.place)
@@ -223,7 +222,7 @@ class MapTracker:
             state.last_confirmed = state.confirmed_before = -1
 
     def _is_due(self, k: int) -> bool:
-        s, state = self.settings, self.state
+        s, state = MAP_TRACKING, self.state
         if state.last_search < 0:
             return True
         lost = self.driven[k] - self.driven[state.view[0]]
@@ -236,7 +235,7 @@ class MapTracker:
 
     def _window(self, k: int) -> SearchWindow | None:
         """Return the window that the odometry allows since the loss; None without a last confirmed pose."""
-        s, last = self.settings, self.state.last_confirmed
+        s, last = MAP_TRACKING, self.state.last_confirmed
         if last < 0:
             return None
         way = self.driven[k] - self.driven[last]
@@ -261,23 +260,23 @@ class MapTracker:
             self.scans.points[own], self.scans.normals[own], self.place.surfaces, self.poses[k]
         ).information
         state.last_good = state.found_at = k
-        state.confirmed_before, state.probation_fit = state.last_confirmed, self.settings.near_fit
+        state.confirmed_before, state.probation_fit = state.last_confirmed, MAP_TRACKING.near_fit
         state.fit = state.usual_fit = float(found.fits[0])
         return True
 
 
-def min_fit_of(found: GlobalPlaces, settings: MapTrackingSettings = MAP_TRACKING) -> float:
+def min_fit_of(found: GlobalPlaces) -> float:
     """Return the minimum fit of a globally found place; it decreases with the place's lead."""
-    s = settings
+    s = MAP_TRACKING
     share = np.clip(found.lead / s.unrivalled_lead, 0.0, 1.0) if len(found.poses) else 0.0
     return float(s.found_fit + share * (s.near_fit - s.found_fit))
 
 
-def _is_expected(pose: Floats, window: SearchWindow, settings: MapTrackingSettings) -> bool:
+def _is_expected(pose: Floats, window: SearchWindow) -> bool:
     """Tell whether a pose is at the odometry pose, the centre of the window."""
     turn = abs(wrap(pose[2] - window.phi))
     way = np.hypot(pose[0] - window.x, pose[1] - window.y)
-    return bool(way < settings.expected_distance and turn < settings.expected_turn)
+    return bool(way < MAP_TRACKING.expected_distance and turn < MAP_TRACKING.expected_turn)
 
 
 def _is_within(pose: Floats, window: SearchWindow) -> bool:
@@ -291,7 +290,6 @@ def rematch(
     poses: Floats,
     place: KnownMap,
     progress: Progress,
-    settings: MapTrackingSettings = MAP_TRACKING,
 ) -> MapMatches:
     """Match scans again, starting from known poses.
 
@@ -305,13 +303,13 @@ def rematch(
     noise, agreement = np.full((2, len(poses)), np.nan)
     for k in np.flatnonzero(np.isfinite(poses).all(axis=1)):
         own = scans.of(int(k))
-        if own.stop - own.start < settings.min_points:
+        if own.stop - own.start < MAP_TRACKING.min_points:
             continue
-        prior = information_at(poses[k], np.asarray(settings.rematch_deviations))
+        prior = information_at(poses[k], np.asarray(MAP_TRACKING.rematch_deviations))
         found = match(
             scans.points[own], scans.normals[own], place.surfaces, poses[k], prior_information=prior
         )
-        if found.inliers >= settings.inliers and found.agreement >= settings.agreement:
+        if found.inliers >= MAP_TRACKING.inliers and found.agreement >= MAP_TRACKING.agreement:
             places[k], information[k] = found.pose, found.information
             noise[k], agreement[k] = found.noise, found.agreement
         if k % 50 == 0:

@@ -72,9 +72,7 @@ class OdometryVerdict:
         return cls(is_false=none, is_sure=none.copy(), doubt=np.zeros((n, 3)))
 
 
-def without_moving_returns(
-    followed: TrackedRun, progress: Progress, settings: MovingReturnSettings = MOVING_RETURNS
-) -> TrackedRun:
+def without_moving_returns(followed: TrackedRun, progress: Progress) -> TrackedRun:
     """Return a tracked run without the readings that go along with the robot, and a note where there are any."""
     run, odometry, measured = followed.run, followed.odometry, odometry_of(followed.run)
     if odometry is None or measured is None or followed.track.wheels is None:
@@ -82,10 +80,10 @@ def without_moving_returns(
     usable, whole = is_measured(measured, run.stamps), followed.scans
     dropped = np.zeros(len(whole.points), dtype=np.bool_)
     thinned = np.zeros(run.n_scans, dtype=np.bool_)
-    for _ in range(settings.rounds):
+    for _ in range(MOVING_RETURNS.rounds):
         wheels = learned_wheels(followed)
         contrast = Contrast.of(run.stamps, followed.track.poses, odometry, usable, wheels)
-        verdict = _judged(whole, contrast, settings)
+        verdict = _judged(whole, contrast)
         thin, useless = verdict.is_false & ~thinned, verdict.is_sure & thinned
         if not (thin | useless).any():
             break
@@ -107,14 +105,13 @@ def verdict_on(
     poses: Floats,
     odometry: Floats | None,
     wheels: WheelParameters | None,
-    settings: MovingReturnSettings = MOVING_RETURNS,
 ) -> OdometryVerdict:
     """Judge the poses (n_scans, 3) [m, m, rad] of all scans by the odometry (n_scans, 3) at the scans, if there is any."""
     measured = odometry_of(run)
     if odometry is None or measured is None or wheels is None:
         return OdometryVerdict.none(run.n_scans)
     contrast = Contrast.of(run.stamps, poses, odometry, is_measured(measured, run.stamps), wheels)
-    return _judged(scans, contrast, settings)
+    return _judged(scans, contrast)
 
 
 def confirms_odometry(
@@ -122,7 +119,6 @@ def confirms_odometry(
     stamps: Floats,
     poses: Floats,
     odometry: Floats,
-    settings: MovingReturnSettings = MOVING_RETURNS,
 ) -> bool:
     """Return whether the readings show, in most of a stretch, that the odometry is right and not the scans.
 
@@ -133,7 +129,7 @@ def confirms_odometry(
     """
     wheels = WheelParameters(way_scale=1.0, turn_scale=1.0, heading_bias=0.0)
     contrast = Contrast.of(stamps, poses, odometry, np.ones(len(stamps), dtype=np.bool_), wheels)
-    return bool(_judged(scans, contrast, settings).is_false.mean() > 0.5)
+    return bool(_judged(scans, contrast).is_false.mean() > 0.5)
 
 
 def learned_wheels(followed: TrackedRun) -> WheelParameters:
@@ -145,9 +141,9 @@ def learned_wheels(followed: TrackedRun) -> WheelParameters:
     )
 
 
-def _judged(scans: ScanPoints, contrast: Contrast, settings: MovingReturnSettings) -> OdometryVerdict:
+def _judged(scans: ScanPoints, contrast: Contrast) -> OdometryVerdict:
     """Judge each stretch in which the odometry contradicts the scans."""
-    s, found = settings, OdometryVerdict.none(scans.n_scans)
+    s, found = MOVING_RETURNS, OdometryVerdict.none(scans.n_scans)
     chosen = np.flatnonzero(contrast.is_contradiction)
     within = contrast.contradicted(scans.n_scans)
     least = min(s.min_supporting, s.min_share * len(scans.points) / scans.n_scans)

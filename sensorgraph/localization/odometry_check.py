@@ -27,7 +27,7 @@ from sensorgraph.localization.half_angle import heading_factor, heading_note, wi
 from sensorgraph.localization.missing_odometry import without_corrections
 from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.odometry_settings import CHECK, OdometryCheckSettings
+from sensorgraph.localization.odometry_settings import CHECK
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import SIGNIFICANT
@@ -41,7 +41,7 @@ DISTANCE_UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 0.0254: "inches", 0.
 TURN_UNITS = {float(np.pi / 180): "degrees"}
 
 
-def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> tuple[Run, tuple[str, ...]]:
+def with_checked_odometry(run: Run) -> tuple[Run, tuple[str, ...]]:
     """Return the run with its odometry in metres and radians, and notes about the changes.
 
     Odometry that disagrees with the scans in all units is removed.
@@ -55,40 +55,40 @@ def with_checked_odometry(run: Run, settings: OdometryCheckSettings = CHECK) -> 
     motion = _as_logged(run)
     if motion is None or run.n_scans < 3:
         return run, ()
-    s = settings
+    s = CHECK
     joined, said = without_corrections(motion)
     notes = list(said)
-    mended = _with_heading(run, joined, notes, s)
+    mended = _with_heading(run, joined, notes)
     if mended is not motion:
         run, motion = _scaled(run, mended, 1.0, 1.0), mended
     odometry = odometry_at_scans(run, motion)
     way_factor = turn_factor = 1.0
-    turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2], s)
+    turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2])
     if turns is not None and np.abs(turns.seen[:, 2]).sum() > s.min_turn:
         seen, driven = turns.seen[:, 2], turns.driven[:, 2]
-        turn_factor = _factor(_ratio(seen, driven, s.moving, s), "turns", TURN_UNITS, notes, s)
+        turn_factor = _factor(_ratio(seen, driven), "turns", TURN_UNITS, notes)
         is_opposite = _correlation(seen, driven) < s.opposite
-        if is_opposite and _agrees(seen, -turn_factor * driven, s.moving, s):
-            ways = _ways(run, motion, 1.0, s)
+        if is_opposite and _agrees(seen, -turn_factor * driven):
+            ways = _ways(run, motion, 1.0)
             raise SensorgraphError(
-                _opposite_text(None if ways is None else _direction(ways.seen, ways.driven, s))
+                _opposite_text(None if ways is None else _direction(ways.seen, ways.driven))
             )
-        if not _agrees(seen, turn_factor * driven, s.moving, s):
+        if not _agrees(seen, turn_factor * driven):
             if turns.confirms_odometry:
                 return run, (_confirmed("turns"),)
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
-    run, motion, ways = _along_course(run, motion, turn_factor, notes, s)
-    direction = None if ways is None else _direction(ways.seen, ways.driven, s)
+    run, motion, ways = _along_course(run, motion, turn_factor, notes)
+    direction = None if ways is None else _direction(ways.seen, ways.driven)
     limit = s.max_direction if _has_stated_mount(run) else s.right_angle
     if direction is not None and abs(direction[0]) > max(limit, 3.0 * direction[1]):
-        run = _with_yaw(run, *direction, notes, s)
+        run = _with_yaw(run, *direction, notes)
     elif direction is not None and abs(direction[0]) > max(s.noted_direction, SIGNIFICANT * direction[1]):
         notes.append(_turned_text(*direction))
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in (ways.seen, ways.driven))
         if seen.sum() > s.min_distance:
-            way_factor = _factor(_ratio(seen, driven, s.moving, s), "distances", DISTANCE_UNITS, notes, s)
-        if not _agrees(seen, way_factor * driven, s.moving, s):
+            way_factor = _factor(_ratio(seen, driven), "distances", DISTANCE_UNITS, notes)
+        if not _agrees(seen, way_factor * driven):
             if turn_factor == 1.0 and ways.confirms_odometry:
                 return run, (_confirmed("distances"),)
             return _without_odometry(run), (_disagreement(seen, driven, "distances", "metres"),)
@@ -126,29 +126,29 @@ class _Stretch:
         return confirms_odometry(self.scans, self.stamps, self.poses, self.odometry)
 
 
-def _with_heading(run: Run, motion: Motion, notes: list[str], settings: OdometryCheckSettings) -> Motion:
+def _with_heading(run: Run, motion: Motion, notes: list[str]) -> Motion:
     """Return the odometry with its true heading if its quaternions do not have half of it; the scans must confirm that."""
     factor = heading_factor(motion.poses)
     if factor == 1.0:
         return motion
     odometry = odometry_at_scans(run, motion)
-    turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2], settings)
+    turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2])
     if turns is None:
         return motion
-    ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2], settings.moving, settings)
-    if abs(np.log(ratio / factor)) > settings.tolerance:
+    ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2])
+    if abs(np.log(ratio / factor)) > CHECK.tolerance:
         return motion
     notes.append(heading_note(factor))
     return replace(motion, poses=with_heading(motion.poses, factor))
 
 
 def _along_course(
-    run: Run, motion: Motion, turn_factor: float, notes: list[str], settings: OdometryCheckSettings
+    run: Run, motion: Motion, turn_factor: float, notes: list[str]
 ) -> tuple[Run, Motion, _Stretch | None]:
     """Return the odometry with its heading along its course where the scans confirm this, and the stretch of most motion."""
-    s = settings
-    ways = _ways(run, motion, turn_factor, s)
-    direction = None if ways is None else _direction(ways.seen, ways.driven, s)
+    s = CHECK
+    ways = _ways(run, motion, turn_factor)
+    direction = None if ways is None else _direction(ways.seen, ways.driven)
     if ways is None or (direction is not None and abs(direction[0]) < s.noted_direction):
         return run, motion, ways
     steps = Steps(stamps=ways.stamps[:: s.every], seen=ways.seen, moving=s.moving, fewest=s.min_moving)
@@ -157,10 +157,10 @@ def _along_course(
         return run, motion, ways
     motion, note = found
     notes.append(note)
-    return _scaled(run, motion, 1.0, 1.0), motion, _ways(run, motion, turn_factor, s)
+    return _scaled(run, motion, 1.0, 1.0), motion, _ways(run, motion, turn_factor)
 
 
-def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) -> tuple[float, float] | None:
+def _direction(seen: Floats, driven: Floats) -> tuple[float, float] | None:
     """Return the angle [rad] from the odometry's motion (n, 3) to that of the scans, and its standard error.
 
     The robot moves by b and turns by θ; its laser, at l with the yaw ψ, moves by a, all in complex numbers:
@@ -170,7 +170,7 @@ def _direction(seen: Floats, driven: Floats, settings: OdometryCheckSettings) ->
     This is linear in e^(-iψ) and in e^(-iψ) l. The latter has the prior `lever`. Errors are relative to the step.
     None if too few steps move, or if one motion does not explain the other.
     """
-    s = settings
+    s = CHECK
     a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (seen, driven))
     use = (np.abs(a) > s.moving) & (np.abs(b) > 0)
     if use.any():
@@ -223,9 +223,7 @@ def _has_stated_mount(run: Run) -> bool:
     return run.meta.get("mount") != "unknown" or run.sensor.is_composite
 
 
-def _with_yaw(
-    run: Run, angle: float, stderr: float, notes: list[str], settings: OdometryCheckSettings
-) -> Run:
+def _with_yaw(run: Run, angle: float, stderr: float, notes: list[str]) -> Run:
     """Return the run with the yaw of an unknown mount as the motion shows it; refuse a stated mount that contradicts it.
 
     Parameters
@@ -240,7 +238,7 @@ def _with_yaw(
             "state the mount in robot.yaml"
         )
     right = np.round(-angle / (np.pi / 2)) * np.pi / 2
-    yaw = right if abs(right + angle) < settings.right_angle else -angle
+    yaw = right if abs(right + angle) < CHECK.right_angle else -angle
     x, y, old = run.sensor.mount
     notes.append(
         f"the mount of the laser is unknown, and the odometry shows that it is turned by {found}: "
@@ -264,13 +262,12 @@ def _compared(
     odometry: Floats,
     moved: Floats,
     parts: list[int],
-    settings: OdometryCheckSettings,
 ) -> _Stretch | None:
     """Return the stretch where `moved` (n_scans - 1,) is largest, as far as there is odometry.
 
     None if the scans alone cannot be tracked there, or do not determine these parts of a motion ahead, left and turn.
     """
-    s = settings
+    s = CHECK
     total = np.concatenate([[0.0], np.cumsum(moved)])
     first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
     begin = int(np.searchsorted(run.stamps, motion.stamps[0]))
@@ -290,11 +287,11 @@ def _compared(
     )
 
 
-def _ways(run: Run, motion: Motion, turn_factor: float, settings: OdometryCheckSettings) -> _Stretch | None:
+def _ways(run: Run, motion: Motion, turn_factor: float) -> _Stretch | None:
     """Return the stretch of the longest distance by the odometry, its heading times a factor."""
     odometry = odometry_at_scans(run, motion)
     moved = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
-    return _compared(run, motion, odometry * [1.0, 1.0, turn_factor], moved, [0, 1], settings)
+    return _compared(run, motion, odometry * [1.0, 1.0, turn_factor], moved, [0, 1])
 
 
 def _as_logged(run: Run) -> Motion | None:
@@ -319,14 +316,14 @@ def _correlation(a: Floats, b: Floats) -> float:
     return float((a * b).sum() / max(np.sqrt((a**2).sum() * (b**2).sum()), 1e-12))
 
 
-def _agrees(seen: Floats, driven: Floats, moving: float, settings: OdometryCheckSettings) -> bool:
+def _agrees(seen: Floats, driven: Floats) -> bool:
     """Tell whether enough steps of the odometry are about as large as those of the scans; a few may be jumps or slip."""
-    is_moving = np.abs(seen) > moving
-    if is_moving.sum() < settings.min_moving:
+    is_moving = np.abs(seen) > CHECK.moving
+    if is_moving.sum() < CHECK.min_moving:
         return True
     ratio = driven[is_moving] / seen[is_moving]
-    within = (ratio > 1 / settings.max_ratio) & (ratio < settings.max_ratio)
-    return bool(within.mean() >= settings.min_agreeing)
+    within = (ratio > 1 / CHECK.max_ratio) & (ratio < CHECK.max_ratio)
+    return bool(within.mean() >= CHECK.min_agreeing)
 
 
 def _disagreement(seen: Floats, driven: Floats, what: str, unit: str) -> str:
@@ -344,21 +341,19 @@ def _confirmed(what: str) -> str:
     )
 
 
-def _ratio(seen: Floats, driven: Floats, moving: float, settings: OdometryCheckSettings) -> float:
+def _ratio(seen: Floats, driven: Floats) -> float:
     """Return the ratio of the scans' motion to the odometry's: the median over steps, which resists single jumps."""
     seen, driven = np.abs(seen), np.abs(driven)
-    is_moving = seen > moving
-    if is_moving.sum() < settings.min_moving:
+    is_moving = seen > CHECK.moving
+    if is_moving.sum() < CHECK.min_moving:
         return float(seen.sum() / max(driven.sum(), 1e-9))
     return float(1.0 / max(np.median(driven[is_moving] / seen[is_moving]), 1e-9))
 
 
-def _factor(
-    measured: float, what: str, units: dict[float, str], notes: list[str], settings: OdometryCheckSettings
-) -> float:
+def _factor(measured: float, what: str, units: dict[float, str], notes: list[str]) -> float:
     """Return the unit factor of distances or turns, and add a note; 1 if no unit matches."""
     for factor, name in units.items():
-        if abs(np.log(measured / factor)) < settings.tolerance:
+        if abs(np.log(measured / factor)) < CHECK.tolerance:
             notes.append(f"the odometry's {what} are {1 / measured:.4g} times too large: read as {name}")
             return factor
     return 1.0

@@ -20,7 +20,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import RangeSensor
 from sensorgraph.localization.sector_matches import best_part
-from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG, RayTimeSettings
+from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG
 from sensorgraph.localization.turning_pieces import LinearisedPieces, TimeEstimate, TurningPieces
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -74,7 +74,6 @@ def identify_older_rays(
     start: LinearisedPieces,
     motion: Motion,
     widening: float,
-    settings: RayTimeSettings = RAY_TIMES,
 ) -> OlderRays | None:
     """Return the part of the rays that is older than the others; None if the run shows none.
 
@@ -104,7 +103,7 @@ def identify_older_rays(
             break
         equations = rays.linearised(basis @ values)
     is_settled = np.abs(found.change).max() < SCAN_LAG.min_lag
-    if not is_settled or not _is_one_part(values, found, widening, settings):
+    if not is_settled or not _is_one_part(values, found, widening):
         return None
     times = np.append(0.0, values)
     is_older = times < 0.5 * (times.min() + times.max())
@@ -174,14 +173,14 @@ def _gains(values: Floats, found: TimeEstimate) -> Floats:
     return np.asarray((PATTERNS @ found.information @ values) ** 2 / of_patterns)
 
 
-def _is_one_part(values: Floats, found: TimeEstimate, widening: float, settings: RayTimeSettings) -> bool:
+def _is_one_part(values: Floats, found: TimeEstimate, widening: float) -> bool:
     """Tell whether one part of the sectors explains their times (SECTORS - 1,) [s], and surely has another time."""
     gains = _gains(values, found)[:-1]
     best = int(np.argmax(gains))
     weights = PATTERNS[best] @ found.information
     other = float(weights @ values) ** 2 / float(weights @ found.covariance @ weights)
     is_most = gains[best] > MIN_EXPLAINED * float(values @ found.information @ values)
-    return is_most and other > widening * settings.min_gain
+    return is_most and other > widening * RAY_TIMES.min_gain
 
 
 def _age(times: Floats, is_older: Bools) -> float:

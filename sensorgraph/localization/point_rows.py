@@ -13,7 +13,7 @@ import numpy as np
 from sensorgraph.localization.patches import assign, cut_patches
 from sensorgraph.localization.scan_track import determines_all
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT, RefinementSettings
+from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
@@ -96,18 +96,15 @@ def point_rows(
     side: float,
     gate: float,
     sigma: float,
-    settings: RefinementSettings = REFINEMENT,
 ) -> PointRows:
     """Cut the surfaces into patches, and linearise the residuals of the points at the poses (n_frames, 3)."""
     points, normals = frames.placed(poses)
     surface = points.copy()
-    patch_map = cut_patches(points, normals, side, settings.roundness)
+    patch_map = cut_patches(points, normals, side, REFINEMENT.roundness)
     patch = assign(points, normals, patch_map, gate)
     used = np.flatnonzero(patch >= 0)
     patch, frame, points = patch[used], frames.frame[used], points[used]
-    weight, residual, along, normal, noise = _fit_patches(
-        points, patch, frame, patch_map.normals, sigma, settings
-    )
+    weight, residual, along, normal, noise = _fit_patches(points, patch, frame, patch_map.normals, sigma)
     kept = weight > 0
     surface[used[kept]] -= residual[kept, None] * normal[kept]
     patch, frame, points = patch[kept], frame[kept], points[kept]
@@ -189,7 +186,7 @@ def _is_straight(blocks: Floats) -> bool:
 
 
 def _fit_patches(
-    points: Floats, patch: Ints, frame: Ints, normals: Floats, sigma: float, settings: RefinementSettings
+    points: Floats, patch: Ints, frame: Ints, normals: Floats, sigma: float
 ) -> tuple[Floats, Floats, Floats, Floats, float]:
     """Fit the line of each patch to its points by iteratively reweighted least squares.
 
@@ -222,21 +219,21 @@ def _fit_patches(
         residual = np.einsum("ij,ij->i", off, normal)
         along = -off[:, 0] * normal[:, 1] + off[:, 1] * normal[:, 0]
         noise = min(
-            max(robust_sigma(residual) if len(residual) else sigma, settings.min_sigma),
+            max(robust_sigma(residual) if len(residual) else sigma, REFINEMENT.min_sigma),
             sigma,
         )
         count = np.bincount(patch, minlength=m)
-        scale = (settings.shrinkage * noise**2 + total * across) / (settings.shrinkage + total)
+        scale = (REFINEMENT.shrinkage * noise**2 + total * across) / (REFINEMENT.shrinkage + total)
         soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, sigma**2)[patch]))
     # a patch of one frame does not constrain poses, a round one has no direction
     pairs = np.unique(frame * m + patch)
     n_frames = np.bincount(pairs % m, minlength=m)
-    good = (n_frames > 1) & (across < settings.roundness * length) & (count >= settings.min_points)
+    good = (n_frames > 1) & (across < REFINEMENT.roundness * length) & (count >= REFINEMENT.min_points)
     # centred with the last weights: offset and direction of a line become independent
     total = np.bincount(patch, soft, m) + 1e-12
     along = along - (np.bincount(patch, soft * along, m) / total)[patch]
     residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
-    weight = np.where(good[patch], soft / np.maximum(scale, settings.min_sigma**2)[patch], 0.0)
+    weight = np.where(good[patch], soft / np.maximum(scale, REFINEMENT.min_sigma**2)[patch], 0.0)
     return weight, residual, along, normal, noise
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.settings import GRAPH, GraphSettings
+from sensorgraph.localization.settings import GRAPH
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -56,7 +56,6 @@ class PoseGraph:
         self,
         poses: Floats,
         steps: PoseEdges,
-        settings: GraphSettings = GRAPH,
         *,
         is_doubtful: Bools | None = None,
     ) -> None:
@@ -68,7 +67,7 @@ class PoseGraph:
         steps : Edges between neighbours of the track; they count as inliers.
         is_doubtful : (n_steps,) Steps that closures can contradict; None: no step.
         """
-        self.settings = settings
+        self.settings = GRAPH
         self.poses = poses.copy()
         rows, doubtful = _rows(steps), np.zeros(len(steps), np.bool_) if is_doubtful is None else is_doubtful
         self._steps = [_factor(row, None) for row, bad in zip(rows, doubtful, strict=True) if not bad]

@@ -28,7 +28,7 @@ from sensorgraph.localization.scan_lag import N_STEPS, ScanLag, scan_lag, with_s
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.settings import FRONT_END
-from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES, SCAN_LAG, RayTimeSettings
+from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES, SCAN_LAG
 from sensorgraph.localization.turning_pieces import LinearisedPieces, TurningPieces, sweep_basis
 from sensorgraph.types import Floats, Progress
 
@@ -54,7 +54,7 @@ class TrackedRun:
     """Notes about the ray times."""
 
 
-def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIMES) -> TrackedRun:
+def track_run(run: Run, progress: Progress) -> TrackedRun:
     """Track all scans, with the ray times of the log or, if the run contradicts them, with those that it shows.
 
     Ray times of a robot.yaml are not tested. Rays are deskewed with the velocity of the odometry. Without odometry a first track without deskewing gives
@@ -73,12 +73,12 @@ def track_run(run: Run, progress: Progress, settings: RayTimeSettings = RAY_TIME
         return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=filled)
     motion = odometry_motion or motion_of_track(run, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
-    dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry, settings)
-    pieces = None if is_given else TurningPieces.of(run, odometry, dense, settings)
+    dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry)
+    pieces = None if is_given else TurningPieces.of(run, odometry, dense)
     sensor, notes = run.sensor, tuple[str, ...]()
     if pieces is not None:
         turned = turned_left(tracked.poses, odometry)
-        sensor, notes = _corrected(run.sensor, pieces, motion, turned, settings)
+        sensor, notes = _corrected(run.sensor, pieces, motion, turned)
     is_new, run, notes = sensor is not run.sensor, replace(run, sensor=sensor), (*filled, *notes)
     if is_new or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
@@ -107,14 +107,13 @@ def _corrected(
     pieces: TurningPieces,
     motion: Motion,
     turned: float | None,
-    settings: RayTimeSettings,
 ) -> tuple[RangeSensor, tuple[str, ...]]:
     """Return the sensor with the ray times and the bearings that the run shows, and notes about them.
 
     Wrong bearings disturb the ray times, and the other way round, so that both are estimated in turn.
     """
-    widening = _small_sample(int(pieces.piece[-1]) + 1, settings)
-    timed, start, notes = _with_ray_times(sensor, pieces, motion, widening, settings)
+    widening = _small_sample(int(pieces.piece[-1]) + 1)
+    timed, start, notes = _with_ray_times(sensor, pieces, motion, widening)
     as_stated, scale, here = (timed, notes), BearingScale(value=1.0, stderr=0.0, kept="first"), pieces
     for _ in range(ROUNDS):
         found = estimated_scale(timed, here, start, motion)
@@ -126,25 +125,25 @@ def _corrected(
             break
         scaled = scale.of(sensor)
         here = replace(pieces, run=replace(pieces.run, sensor=scaled))
-        timed, start, notes = _with_ray_times(scaled, here, motion, widening, settings)
+        timed, start, notes = _with_ray_times(scaled, here, motion, widening)
     off = abs(scale.value - 1.0)
-    if off < LEAST or off**2 <= widening * settings.min_gain * scale.stderr**2:
+    if off < LEAST or off**2 <= widening * RAY_TIMES.min_gain * scale.stderr**2:
         return as_stated
     return timed, (scale.line, *notes)
 
 
 def _with_ray_times(
-    sensor: RangeSensor, pieces: TurningPieces, motion: Motion, widening: float, settings: RayTimeSettings
+    sensor: RangeSensor, pieces: TurningPieces, motion: Motion, widening: float
 ) -> tuple[RangeSensor, LinearisedPieces, tuple[str, ...]]:
     """Return the sensor with the ray times that the run shows, the pieces linearised at these, and notes about them."""
     start = pieces.linearised(sensor.ray_delays, motion)
     notes: tuple[str, ...] = ()
-    older = identify_older_rays(sensor, pieces, start, motion, widening, settings)
-    found = None if older else identify_ray_times(sensor, pieces, start, motion, settings)
+    older = identify_older_rays(sensor, pieces, start, motion, widening)
+    found = None if older else identify_ray_times(sensor, pieces, start, motion)
     if found is not None:
         sensor, notes = found.sensor, (found.line,)
         start = pieces.linearised(sensor.ray_delays, motion)
-        older = identify_older_rays(sensor, pieces, start, motion, widening, settings)
+        older = identify_older_rays(sensor, pieces, start, motion, widening)
     if older is not None:
         sensor, notes = older.sensor, (*notes, older.line)
         start = pieces.linearised(sensor.ray_delays, motion)
@@ -178,10 +177,10 @@ def _at_equal_times(
 
 
 def _with_more_key_frames(
-    tracked: ScanTrack, scans: ScanPoints, stamps: Floats, odometry: Floats | None, settings: RayTimeSettings
+    tracked: ScanTrack, scans: ScanPoints, stamps: Floats, odometry: Floats | None
 ) -> ScanTrack:
     """Track a short log again with key frames so close together that they suffice for the pieces."""
-    share = len(tracked.key_frames) / (settings.min_pieces * settings.frames)
+    share = len(tracked.key_frames) / (RAY_TIMES.min_pieces * RAY_TIMES.frames)
     if share >= 1:
         return tracked
     closer = replace(
@@ -295,7 +294,6 @@ def identify_ray_times(
     pieces: TurningPieces,
     start: LinearisedPieces,
     motion: Motion,
-    settings: RayTimeSettings = RAY_TIMES,
 ) -> RayTimes | None:
     """Estimate sweep time and class delays; return the ray times that match them, or None to keep those of the log.
 
@@ -309,52 +307,50 @@ def identify_ray_times(
     if CLASSES % sensor.interlaced_sweeps:
         return None
     values, basis, equations = _values(sensor), sweep_basis(sensor.n_rays), start
-    for step in range(settings.steps):
+    for step in range(RAY_TIMES.steps):
         found = equations.estimate(basis)
         change, covariance = found.change, found.covariance
         values = values + change
         covariance += np.eye(CLASSES) * (values[0] / len(basis)) ** 2  # to the time of a ray
-        if step == 0 and _agrees(sensor, values, covariance, settings):
+        if step == 0 and _agrees(sensor, values, covariance):
             return None
-        if change @ np.linalg.solve(covariance, change) < settings.settled:
+        if change @ np.linalg.solve(covariance, change) < RAY_TIMES.settled:
             break
         equations = pieces.linearised(basis @ values, motion)
     errors = np.sqrt(np.diag(covariance))
-    wide = covariance * _small_sample(int(pieces.piece[-1]) + 1, settings)
-    return _judge(sensor, values, errors, wide, settings)
+    wide = covariance * _small_sample(int(pieces.piece[-1]) + 1)
+    return _judge(sensor, values, errors, wide)
 
 
-def _small_sample(n_pieces: int, settings: RayTimeSettings) -> float:
+def _small_sample(n_pieces: int) -> float:
     """Return the factor of a covariance from few pieces: Student's t, not the normal distribution, at the decision."""
-    z = np.sqrt(settings.min_gain)
+    z = np.sqrt(RAY_TIMES.min_gain)
     return float(stdtrit(n_pieces - 1, ndtr(-z)) / z) ** 2
 
 
-def _distance(expected: Floats, values: Floats, covariance: Floats, settings: RayTimeSettings) -> float:
+def _distance(expected: Floats, values: Floats, covariance: Floats) -> float:
     """Return the squared Mahalanobis distance of an estimate (4,) from expected values (4,).
 
     The motion has a relative error of `motion_error`, so that a class delay shorter than this share of a mirror period may be zero.
     """
-    own = covariance + np.diag((settings.motion_error * np.maximum(np.abs(expected), SCALES)) ** 2)
+    own = covariance + np.diag((RAY_TIMES.motion_error * np.maximum(np.abs(expected), SCALES)) ** 2)
     off = values - expected
     return float(off @ np.linalg.solve(own, off))
 
 
-def _agrees(sensor: RangeSensor, values: Floats, covariance: Floats, settings: RayTimeSettings) -> bool:
+def _agrees(sensor: RangeSensor, values: Floats, covariance: Floats) -> bool:
     """Tell whether the first step confirms the ray times of the log.
 
     Opposite times smear the surfaces, so that the step is short and its standard errors are wide. A wide estimate
     confirms stated times only if it also excludes that there are none.
     """
-    if _distance(_values(sensor), values, covariance, settings) >= settings.agrees:
+    if _distance(_values(sensor), values, covariance) >= RAY_TIMES.agrees:
         return False
     none = np.zeros(CLASSES)
-    return not sensor.has_ray_delays or _distance(none, values, covariance, settings) >= settings.min_gain
+    return not sensor.has_ray_delays or _distance(none, values, covariance) >= RAY_TIMES.min_gain
 
 
-def _judge(
-    sensor: RangeSensor, values: Floats, errors: Floats, covariance: Floats, settings: RayTimeSettings
-) -> RayTimes | None:
+def _judge(sensor: RangeSensor, values: Floats, errors: Floats, covariance: Floats) -> RayTimes | None:
     """Return the candidate that the estimate confirms, if it is the only one; None to keep the ray times of the log.
 
     Where the log states ray times and no candidate matches, one sweep of the estimated length is used. A sensor without
@@ -364,16 +360,16 @@ def _judge(
     is_stated = sensor.has_ray_delays
     candidates = _alternatives(sensor) if is_stated else hypotheses(sensor)
     judged = sorted(
-        ((_distance(_values(one), values, covariance, settings), name, one) for name, one in candidates),
+        ((_distance(_values(one), values, covariance), name, one) for name, one in candidates),
         key=lambda row: row[0],
     )
     (best, name, found), second = judged[0], judged[1]
-    as_logged = _distance(_values(sensor), values, covariance, settings)
-    is_clear = best <= settings.max_distance and min(as_logged, second[0]) - best >= settings.min_gain
+    as_logged = _distance(_values(sensor), values, covariance)
+    is_clear = best <= RAY_TIMES.max_distance and min(as_logged, second[0]) - best >= RAY_TIMES.min_gain
     if not is_clear:
         one_sweep = np.array([values[0], 0.0, 0.0, 0.0])
-        is_one_sweep = _distance(one_sweep, values, covariance, settings) <= settings.max_distance
-        if not is_stated or not is_one_sweep or as_logged < settings.min_gain:
+        is_one_sweep = _distance(one_sweep, values, covariance) <= RAY_TIMES.max_distance
+        if not is_stated or not is_one_sweep or as_logged < RAY_TIMES.min_gain:
             return None
         plain = replace(sensor, interlaced_sweeps=1, sweep_period=0.0, first_ray_delay=0.0)
         name, found = "unlike in the log", replace(plain, sweep_time=float(values[0]))

@@ -25,7 +25,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.clusters import ResidualClusters, clusters_of
 from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
-from sensorgraph.localization.settings import REFINEMENT, RefinementSettings
+from sensorgraph.localization.settings import REFINEMENT
 from sensorgraph.localization.wheel_edges import WheelEdges, WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
 
@@ -115,10 +115,9 @@ def linearise(
     side: float,
     gate: float,
     sigma: float,
-    settings: RefinementSettings = REFINEMENT,
 ) -> ReducedSystem:
     """Cut the surfaces into patches, and linearise all residuals at the poses (n_frames, 3)."""
-    return reduced_system(point_rows(frames, poses, side, gate, sigma, settings), poses, wheels)
+    return reduced_system(point_rows(frames, poses, side, gate, sigma), poses, wheels)
 
 
 def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> ReducedSystem:
@@ -227,7 +226,6 @@ def refine(
     wheels: WheelSteps,
     graph: tuple[PoseEdges, PoseEdges],
     progress: Progress,
-    settings: RefinementSettings = REFINEMENT,
 ) -> Refined:
     """Refine poses (n_key, 3) and surfaces jointly.
 
@@ -238,24 +236,24 @@ def refine(
     graph : Steps of the track and closures of the pose graph; only the preconditioner depends on them.
     """
     poses, taken = poses.copy(), np.zeros_like(poses)
-    last = settings.iterations - 1
-    for iteration in range(settings.iterations + 1):
+    last = REFINEMENT.iterations - 1
+    for iteration in range(REFINEMENT.iterations + 1):
         share = min(iteration / max(last - 2, 1), 1.0)
-        side = settings.first_side * (settings.last_side / settings.first_side) ** share
-        gate = settings.first_gate * (settings.last_gate / settings.first_gate) ** share
-        sigma = settings.first_sigma * (settings.last_sigma / settings.first_sigma) ** share
-        system = linearise(frames, poses, wheels.at(poses), side, gate, sigma, settings)
+        side = REFINEMENT.first_side * (REFINEMENT.last_side / REFINEMENT.first_side) ** share
+        gate = REFINEMENT.first_gate * (REFINEMENT.last_gate / REFINEMENT.first_gate) ** share
+        sigma = REFINEMENT.first_sigma * (REFINEMENT.last_sigma / REFINEMENT.first_sigma) ** share
+        system = linearise(frames, poses, wheels.at(poses), side, gate, sigma)
         preconditioner = pose_graph_matrix(system, poses, graph)
-        if iteration == settings.iterations:
+        if iteration == REFINEMENT.iterations:
             break
         step, _ = conjugate_gradients(
-            system, -system.gradient[:, None], preconditioner, settings.tolerance, settings.max_steps
+            system, -system.gradient[:, None], preconditioner, REFINEMENT.tolerance, REFINEMENT.max_steps
         )
         taken = step.reshape(-1, 3)
         taken = taken * min(1.0, MAX_TURN / max(float(np.abs(taken[:, 2]).max()), 1e-9))
         poses = poses + taken
         poses[:, 2] = wrap(poses[:, 2])
-        progress(iteration + 1, settings.iterations + 1)
+        progress(iteration + 1, REFINEMENT.iterations + 1)
     return Refined(poses=poses, last_step=taken, system=system, preconditioner=preconditioner, frames=frames)
 
 

@@ -22,7 +22,7 @@ from logs.transforms import wrap
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.settings import CAUCHY, SIGNIFICANT
-from sensorgraph.localization.time_settings import SCAN_LAG, ScanLagSettings
+from sensorgraph.localization.time_settings import SCAN_LAG
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
@@ -44,9 +44,7 @@ class ScanLag:
     """[s]"""
 
 
-def scan_lag(
-    run: Run, motion: Motion, tracked: ScanTrack, settings: ScanLagSettings = SCAN_LAG
-) -> ScanLag | None:
+def scan_lag(run: Run, motion: Motion, tracked: ScanTrack) -> ScanLag | None:
     """Return the lag of the scans relative to the odometry; None if the robot did not turn enough while it was measured.
 
     Parameters
@@ -54,25 +52,23 @@ def scan_lag(
     motion : The odometry, without the stretches that the scans fill: these have no lag relative to the scans.
     tracked : Track of the scans.
     """
-    found = _linear_lag(run.stamps, motion, tracked, settings)
+    found = _linear_lag(run.stamps, motion, tracked)
     for _ in range(N_STEPS):  # the model is linear in the lag, which a long lag is not
-        if found is None or abs(found.value) < settings.min_lag:
+        if found is None or abs(found.value) < SCAN_LAG.min_lag:
             break
-        more = _linear_lag(run.stamps + found.value, motion, tracked, settings)
+        more = _linear_lag(run.stamps + found.value, motion, tracked)
         if more is None:
             break
-        is_close = abs(more.value) < settings.min_lag
+        is_close = abs(more.value) < SCAN_LAG.min_lag
         found = replace(more, value=found.value + more.value)
         if is_close:
             break
     return found
 
 
-def _linear_lag(
-    stamps: Floats, motion: Motion, tracked: ScanTrack, settings: ScanLagSettings
-) -> ScanLag | None:
+def _linear_lag(stamps: Floats, motion: Motion, tracked: ScanTrack) -> ScanLag | None:
     """Return the lag of scans at stamps (n,) [s] by the model that is linear in it; None if the drive does not show it."""
-    s = settings
+    s = SCAN_LAG
     step = np.diff(stamps)
     usable = tracked.matched & is_measured(motion, stamps)
     both = usable[1:] & usable[:-1] & tracked.is_continuous[1:] & (step > 0)
@@ -87,19 +83,19 @@ def _linear_lag(
     segment = (np.flatnonzero(both) * s.segments) // max(len(step), 1)
     if len(y) < s.min_scans or (change[both] ** 2).sum() < s.min_change**2 * len(y):
         return None
-    drifting, covariance = _robust_fit(x, y, segment, s)
+    drifting, covariance = _robust_fit(x, y, segment)
     drift, stderr = drifting[2] / drifting[0], np.sqrt(covariance[2, 2]) / drifting[0]
     is_drifting = drifting[0] > s.min_slope and abs(drift) > max(SIGNIFICANT * stderr, s.min_lag)
-    beta, covariance = (drifting, covariance) if is_drifting else _robust_fit(x[:, :2], y, segment, s)
+    beta, covariance = (drifting, covariance) if is_drifting else _robust_fit(x[:, :2], y, segment)
     if not beta[0] > s.min_slope:
         return None
     lag = ScanLag(value=float(beta[1] / beta[0]), stderr=float(np.sqrt(covariance[1, 1]) / beta[0]))
     return replace(lag, drift=float(drift), drift_stderr=float(stderr)) if is_drifting else lag
 
 
-def _robust_fit(x: Floats, y: Floats, segment: Ints, settings: ScanLagSettings) -> tuple[Floats, Floats]:
+def _robust_fit(x: Floats, y: Floats, segment: Ints) -> tuple[Floats, Floats]:
     """Return the coefficients (k,) of y (n,) in x (n, k), robust to outliers, and their covariance (k, k) by segments (n,)."""
-    s, k = settings, x.shape[1]
+    s, k = SCAN_LAG, x.shape[1]
     weight = np.ones(len(y))
     inverse: Floats = np.eye(k)
     beta: Floats = np.zeros(k)
@@ -121,9 +117,7 @@ def _turn_rate(motion: Motion, stamps: Floats, interval: float) -> Floats:
     return np.asarray((ahead[:, 2] - behind[:, 2]) / interval)
 
 
-def with_stamp_of(
-    run: Run, lag: ScanLag, settings: ScanLagSettings = SCAN_LAG
-) -> tuple[Run, tuple[str, ...]]:
+def with_stamp_of(run: Run, lag: ScanLag) -> tuple[Run, tuple[str, ...]]:
     """Return the run with its stamps at the begin, middle or end of the sweep as the odometry shows, and a note on a lag.
 
     Drivers stamp a scan at any of the three, and the odometry has its own latency. So the nearest one counts if the
@@ -134,15 +128,15 @@ def with_stamp_of(
     text = f"{1e3 * lag.value:+.0f} ± {1e3 * lag.stderr:.1f} ms"
     if lag.drift:
         text += f", drifting by {1e3 * lag.drift:+.0f} ± {1e3 * lag.drift_stderr:.1f} ms over the log"
-    elif abs(lag.value) < max(SIGNIFICANT * lag.stderr, settings.min_lag):
+    elif abs(lag.value) < max(SIGNIFICANT * lag.stderr, SCAN_LAG.min_lag):
         return run, ()
-    elif sensor.scan_duration > settings.min_lag:
+    elif sensor.scan_duration > SCAN_LAG.min_lag:
         first, last = float(delays.min()), float(delays.max())
         shifts = {"begin": -first, "middle": -float(delays.mean()), "end": -last}
         where, second, _ = sorted(shifts, key=lambda name: abs(shifts[name] - lag.value))
         rest = abs(lag.value - shifts[where])
-        is_latency = rest < min(settings.latency, 0.5 * abs(lag.value - shifts[second]))
-        is_equal = rest < max(SIGNIFICANT * lag.stderr, settings.relative_error * (last - first))
+        is_latency = rest < min(SCAN_LAG.latency, 0.5 * abs(lag.value - shifts[second]))
+        is_equal = rest < max(SIGNIFICANT * lag.stderr, SCAN_LAG.relative_error * (last - first))
         if is_equal or (is_latency and shifts[where] != 0.0):
             shifted = replace(sensor, first_ray_delay=sensor.first_ray_delay + shifts[where])
             return replace(run, sensor=shifted), (

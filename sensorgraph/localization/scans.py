@@ -10,7 +10,7 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
 from planners.kernel import kernel
-from sensorgraph.localization.settings import SCANS, UNKNOWN_NORMAL_LENGTH, PointSettings
+from sensorgraph.localization.settings import SCANS, UNKNOWN_NORMAL_LENGTH
 from sensorgraph.types import Bools, Floats, Ints
 
 SCANS_PER_BLOCK = 1000
@@ -83,7 +83,6 @@ class ScanPoints:
 def scan_points(
     run: Run,
     motion: Motion | None = None,
-    settings: PointSettings = SCANS,
     *,
     delays: Floats | None = None,
 ) -> ScanPoints:
@@ -96,7 +95,7 @@ def scan_points(
     """
     sensor = run.sensor
     delays = sensor.ray_delays if delays is None else delays
-    used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, settings.max_range))
+    used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, SCANS.max_range))
     if sensor.resolution > 0:  # the last step before range_max is often a missing return, rounded down
         used &= run.ranges < sensor.range_max - sensor.resolution
     blocks = [
@@ -106,7 +105,6 @@ def scan_points(
             used[start : start + SCANS_PER_BLOCK],
             motion,
             delays,
-            settings,
         )
         for start in range(0, max(run.n_scans, 1), SCANS_PER_BLOCK)
     ]
@@ -123,7 +121,7 @@ def scan_points(
 
 
 def _block(
-    run: Run, scans: slice, used: Bools, motion: Motion | None, delays: Floats, settings: PointSettings
+    run: Run, scans: slice, used: Bools, motion: Motion | None, delays: Floats
 ) -> tuple[Ints, Floats, Floats, Floats, Floats, Ints]:
     """Return counts (n,), points, normals, ranges, starts and rays of some scans."""
     rays = laser_rays(run.sensor, run.stamps[scans], motion, delays)  # (n or 1, n_rays, 3)
@@ -134,8 +132,8 @@ def _block(
     starts = np.broadcast_to(rays[..., :2], points.shape)
     kept = np.zeros(used.shape, dtype=np.bool_)
     normals = np.zeros_like(points)
-    _normals(points, np.ascontiguousarray(starts), used, settings.reach, settings.gap, normals)
-    _thin(points, used, settings.spacing, kept)
+    _normals(points, np.ascontiguousarray(starts), used, SCANS.reach, SCANS.gap, normals)
+    _thin(points, used, SCANS.spacing, kept)
     return kept.sum(axis=1), points[kept], normals[kept], ranges[kept], starts[kept], np.nonzero(kept)[1]
 
 

@@ -23,7 +23,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from sensorgraph.localization.clusters import MeanResiduals
-from sensorgraph.localization.error_settings import SURFACE_ERRORS, SurfaceErrorSettings
+from sensorgraph.localization.error_settings import SURFACE_ERRORS
 from sensorgraph.localization.refinement import ReducedSystem, conjugate_gradients, sums_of
 from sensorgraph.types import Floats, Ints
 
@@ -87,8 +87,8 @@ def right_hand_sides(system: ReducedSystem, errors: Floats) -> tuple[Floats, Flo
 class _Correlations:
     """Mean products of the residuals of neighbouring clusters, by distance and by key frames in between."""
 
-    def __init__(self, clusters: MeanResiduals, settings: SurfaceErrorSettings) -> None:
-        s, frame = settings, clusters.frame
+    def __init__(self, clusters: MeanResiduals) -> None:
+        s, frame = SURFACE_ERRORS, clusters.frame
         self.pairs: list[tuple[Ints, Ints]] = []
         step = max(int(frame.max()) // s.max_frames, 1)
         chosen = np.flatnonzero(frame % step == 0)
@@ -117,14 +117,15 @@ def map_surface_errors(
     system: ReducedSystem,
     preconditioner: sparse.csc_array,
     rng: np.random.Generator,
-    settings: SurfaceErrorSettings = SURFACE_ERRORS,
 ) -> SurfaceErrors:
     """Estimate the shared errors of the surfaces of a new map, which are fitted together with all poses."""
     clusters = system.clusters
 
     def fitted(errors: Floats) -> Floats:
         rhs, line = right_hand_sides(system, errors)
-        moved, _ = conjugate_gradients(system, rhs, preconditioner, settings.tolerance, settings.max_steps)
+        moved, _ = conjugate_gradients(
+            system, rhs, preconditioner, SURFACE_ERRORS.tolerance, SURFACE_ERRORS.max_steps
+        )
         lines = system.inverse[:, None] * (line - system.coupling.T @ moved)
         k, m = errors.shape[1], len(line) // 2
         by_pose = np.einsum("ci,cik->ck", clusters.by_pose, moved.reshape(-1, 3, k)[clusters.frame])
@@ -132,14 +133,13 @@ def map_surface_errors(
         off = (by_pose + by_line) / clusters.weight[:, None]
         return np.asarray(errors - off * (clusters.side / clusters.deviation)[:, None])
 
-    return surface_errors(clusters, fitted, rng, settings)
+    return surface_errors(clusters, fitted, rng)
 
 
 def surface_errors(
     clusters: MeanResiduals,
     fitted: Callable[[Floats], Floats],
     rng: np.random.Generator,
-    settings: SurfaceErrorSettings = SURFACE_ERRORS,
 ) -> SurfaceErrors:
     """Estimate the shared errors from the residuals.
 
@@ -150,11 +150,11 @@ def surface_errors(
     ----------
     fitted : Returns the residuals of errors (n_clusters, n) after the fit, (n_clusters, n).
     """
-    s = settings
+    s = SURFACE_ERRORS
     none = SurfaceErrors(length=s.lengths[0], frames=s.frames[0], ratio=0.0, white=1.0)
     if len(clusters.frame) < s.min_pairs:
         return none
-    correlations = _Correlations(clusters, s)
+    correlations = _Correlations(clusters)
     if not correlations.pairs:
         return none
     n = int(np.clip(s.simulated // len(clusters.frame), s.min_draws, s.max_draws))

@@ -22,7 +22,7 @@ from sensorgraph.localization.refinement import (
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.settings import REFINEMENT
-from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES, RayTimeSettings
+from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Floats, Ints
 
@@ -119,30 +119,28 @@ class TurningPieces:
     graph: PoseEdges
 
     @staticmethod
-    def of(
-        run: Run, odometry: Floats | None, tracked: ScanTrack, settings: RayTimeSettings
-    ) -> TurningPieces | None:
+    def of(run: Run, odometry: Floats | None, tracked: ScanTrack) -> TurningPieces | None:
         """Choose the pieces with the fastest turns; None if the robot hardly turned.
 
         In a short log the pieces are shorter, as their number determines the standard errors.
         """
         keys = tracked.key_frames
-        m = min(settings.frames, len(keys) // settings.min_pieces)
-        if m < settings.min_frames:
+        m = min(RAY_TIMES.frames, len(keys) // RAY_TIMES.min_pieces)
+        if m < RAY_TIMES.min_frames:
             return None
         heading = np.unwrap(tracked.poses[:, 2]) if odometry is None else odometry[:, 2]
         rate = np.abs(np.gradient(heading, np.arange(len(heading))))[keys] * run.sensor.rate
         starts = [k for k in range(0, len(keys) - m + 1, m) if tracked.piece[k] == tracked.piece[k + m - 1]]
-        turning = np.array([(np.minimum(rate[k : k + m], settings.max_rate) ** 2).mean() for k in starts])
-        chosen = np.sort(np.argsort(-turning)[: settings.pieces])
-        if len(chosen) < settings.min_pieces or np.sqrt(np.median(turning[chosen])) < settings.min_rate:
+        turning = np.array([(np.minimum(rate[k : k + m], RAY_TIMES.max_rate) ** 2).mean() for k in starts])
+        chosen = np.sort(np.argsort(-turning)[: RAY_TIMES.pieces])
+        if len(chosen) < RAY_TIMES.min_pieces or np.sqrt(np.median(turning[chosen])) < RAY_TIMES.min_rate:
             return None
         index = np.array([starts[k] for k in chosen])[:, None] + np.arange(m)
         frames, piece = index.ravel(), np.repeat(np.arange(len(chosen)), m)
         poses = tracked.poses[keys[frames]].copy()
         origin = poses[::m][piece]
         poses[:, :2] -= origin[:, :2]
-        poses[:, 0] += settings.piece_offset * piece
+        poses[:, 0] += RAY_TIMES.piece_offset * piece
         inner = np.flatnonzero(np.diff(piece) == 0)
         relative = compose(invert(poses[inner]), poses[inner + 1])
         steps = np.zeros((len(inner), 3))
