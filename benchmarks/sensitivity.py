@@ -1,15 +1,15 @@
-"""Each tuned number of the diagnosis, halved and doubled: which answers change.
+"""Each tuned number of the diagnosis and of localization, halved and doubled: which answers change.
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.sensitivity [--only selection,motion.EvidenceSettings]
 
 A few short runs of `benchmarks.hidden_effects` (development seeds) are diagnosed with the settings as they are, and
 again with one setting at a time times 0.5 and times 2. An answer is the set of names with their places, and whether
 something unknown is said. A setting that moves no answer is counted; one that moves any is listed with what it moved.
+Of `--only localization.`, the answer is how many scans of a drive in a simulated office are located, and their ATE to one digit.
 
 So are constants of modules (`CUT` of `beam_mixture`), but for those of mathematics. Counts are rounded and at least 1;
 shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
-Each variant is a process of its own, begun before anything that a setting decides is imported. What judges an accepted
-model (GoodnessOfFitSettings, NamingSettings) does not need another search: that is done once, and its model judged anew.
+Each variant is a process of its own, begun before anything that a setting decides is imported.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ from benchmarks.arguments import parser_of
 from benchmarks.hidden_effects.case import Spec
 from benchmarks.hidden_effects.entrants.product import run_of
 from benchmarks.hidden_effects.worlds.own.cases import make
+from benchmarks.locate import aligned, office_run
 from logs import Run
 from planners.maps import geojson
+from planners.types import Floats
 from sensorgraph.diagnosis.motion import settings as motion
 from sensorgraph.diagnosis.result import ChannelResult
-from sensorgraph.diagnosis.scan.model_selection import Explained
-from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.localization import error_settings, moving_returns, odometry_settings, time_settings
+from sensorgraph.localization import settings as localization
 from sensorgraph.world.robot import parse_robot
 
 FACTORS = (0.5, 2.0)
@@ -62,8 +64,12 @@ OF_MATHEMATICS = {
 """Constants that nobody has tuned."""
 NOT_ASKED = re.compile(r"settings|calibration|\.site_")
 """Modules whose constants no case needs: runs without a reference, and against a commissioning run."""
-JUDGING = ("GoodnessOfFitSettings", "NamingSettings", "ProfileSettings")
-"""Groups that judge what the search has accepted."""
+LOCALIZATION = (localization, odometry_settings, error_settings, time_settings, moving_returns)
+"""Modules with the settings of localization without a map."""
+OFFICES = ("101",)
+"""Offices of `benchmarks.offices` in which a robot follows the walls."""
+N_SCANS = 800
+"""Number of scans of such a drive that are located."""
 TIME_LIMIT = 120.0
 """[s] of one variant."""
 
@@ -223,29 +229,23 @@ def answers(channel: str, cases: list[tuple[Run, str, str]]) -> list[str]:
     return out
 
 
-def searched(cases: list[tuple[Run, str, str]]) -> list[tuple[ScanData, Explained]]:
-    """Return the scans of each case with the model that the search accepts."""
-    from sensorgraph.diagnosis.scan.held_out_gap import held_out
-    from sensorgraph.diagnosis.scan.model_selection import explain
-    from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+def located(cases: list[tuple[Run, Floats]]) -> list[str]:
+    """Return how many scans of each run are located, and their error to one digit."""
+    from sensorgraph.localization.mapping import map_run
 
     out = []
-    for run, arena, file in cases:
-        data, _ = prepare_scans(run, geojson.loads(arena), parse_robot(file))
-        train = data.subset(~held_out(data))
-        out.append((train, explain(train, SCAN.noise)))
+    for run, truth in cases:
+        found = map_run(run)
+        off, _ = aligned(found.poses, truth)
+        ate = np.sqrt((off[:, :2] ** 2).sum(axis=1).mean())
+        out.append(f"{found.status.count('ok')} ok, ATE {1000 * ate:.1g} mm")
     return out
 
 
-def judged(models: list[tuple[ScanData, Explained]]) -> list[str]:
-    """Return what is said of each case, given the model that the search accepts."""
-    from sensorgraph.diagnosis.scan_channel import judge
-
-    out = []
-    for train, explained in models:
-        _, names = judge(train, explained, None, np.random.default_rng(0))
-        out.append(_said([names.result]))
-    return out
+def driven(office: str) -> tuple[Run, Floats]:
+    """Return the first part of a drive in a simulated office, and its true poses."""
+    run, truth = office_run(int(office))
+    return run.take_scans(slice(N_SCANS)), truth[:N_SCANS]
 
 
 def _said(results: Sequence[ChannelResult]) -> str:
@@ -288,36 +288,47 @@ def main() -> None:
     parser.add_argument("--only", default="", help="parts of the names of settings, comma-separated")
     options = parser.parse_args()
     wanted = [part for part in options.only.split(",") if part]
-    of_scans = [*settings_of("scan", SCAN), *constants_of("scan", sensorgraph.diagnosis.scan)]
-    parts = {
+    scan, motions = sensorgraph.diagnosis.scan, sensorgraph.diagnosis.motion
+    groups = {id(group): group for module in LOCALIZATION for group in vars(module).values()}.values()
+    of_localization = [
+        s
+        for one in groups
+        if type(one).__name__.endswith("Settings")
+        for s in settings_of("localization", one)
+    ]
+    parts: dict[str, tuple[Sequence[str], list[Setting], Callable[[], Callable[[], list[str]]]]] = {
         "motion": (
-            MOTION_CASES,
-            [
-                *settings_of("motion", motion.EVIDENCE),
-                *constants_of("motion", sensorgraph.diagnosis.motion),
-            ],
+            [one.label for one in MOTION_CASES],
+            [*settings_of("motion", motion.EVIDENCE), *constants_of("motion", motions)],
+            lambda: partial(answers, "motion", [one.make("motion") for one in MOTION_CASES]),
         ),
-        "scan": (SCAN_CASES, [s for s in of_scans if s.holder not in JUDGING]),
-        "judging scans": (SCAN_CASES, [s for s in of_scans if s.holder in JUDGING]),
+        "scan": (
+            [one.label for one in SCAN_CASES],
+            [*settings_of("scan", SCAN), *constants_of("scan", scan)],
+            lambda: partial(answers, "scan", [one.make("scan") for one in SCAN_CASES]),
+        ),
+        "localization": (
+            OFFICES,
+            of_localization,
+            lambda: partial(located, [driven(one) for one in OFFICES]),
+        ),
     }
-    for channel, (hidden, settings) in parts.items():
+    for channel, (labels, settings, prepared) in parts.items():
         settings = [s for s in settings if not wanted or any(part in s.label for part in wanted)]
         if not settings:
             continue
-        cases = [one.make(channel.split()[-1].removesuffix("s")) for one in hidden]
-        is_judging = channel.startswith("judging")
-        answer = partial(judged, searched(cases)) if is_judging else partial(answers, channel, cases)
+        answer = prepared()
         begin = time.perf_counter(), os.times().children_user
         usual = in_process(answer, None)
         if isinstance(usual, str):
             raise SystemExit(f"{channel}: {usual}")
         took, cpu = time.perf_counter() - begin[0], os.times().children_user - begin[1]
         print(
-            f"{channel}: {len(settings)} settings, {len(cases)} cases, {took:.0f} s ({cpu:.1f} of CPU) a variant"
+            f"{channel}: {len(settings)} settings, {len(labels)} cases, {took:.0f} s ({cpu:.1f} of CPU) a variant"
         )
-        for one, said in zip(hidden, usual, strict=True):
-            print(f"  {one.label}: {said}")
-        still, moved = 0, np.zeros(len(cases), dtype=np.intp)
+        for label, said in zip(labels, usual, strict=True):
+            print(f"  {label}: {said}")
+        still = 0
         for setting in settings:
             lines = []
             for factor in FACTORS:
@@ -325,9 +336,8 @@ def main() -> None:
                 if isinstance(got, str):
                     lines.append(f"x {factor:g}: {got}")
                     continue
-                changed = [k for k in range(len(cases)) if got[k] != usual[k]]
-                moved[changed] += 1
-                lines += [f"x {factor:g}: {hidden[k].label} -> {got[k]}" for k in changed]
+                changed = [k for k in range(len(labels)) if got[k] != usual[k]]
+                lines += [f"x {factor:g}: {labels[k]} -> {got[k]}" for k in changed]
             still += not lines
             for line in lines:
                 print(f"  {setting.label} = {setting.value}, {line}")
