@@ -113,33 +113,31 @@ class _Difference:
         return np.asarray(self.offset + self.drift * share)
 
 
-def settle(signals: Sequence[Signal], limits: ClockLimits = CLOCK_LIMITS) -> SettledClocks:
+def settle(signals: Sequence[Signal]) -> SettledClocks:
     """Convert the stamps of all signals to one clock, where the log times determine how.
 
     Header stamps that agree with each other are never changed, whatever the log times are.
     """
     given = list(signals)
     signals, notes = in_nanoseconds(given)
-    signals, said = forward(signals, limits.offset)
+    signals, said = forward(signals, CLOCK_LIMITS.offset)
     notes += said
-    clocks = [_clock(signal, limits) for signal in signals]
-    _rescale(clocks, limits)
+    clocks = [_clock(signal) for signal in signals]
+    _rescale(clocks)
     for clock in clocks:
-        _join_segments(clock, limits)
+        _join_segments(clock)
         notes += clock.notes
     usable = [clock for clock in clocks if clock.sound.any()]
     if usable:
-        reference = _reference(usable, limits)
-        by_log = _drift_of(reference.at, reference.offsets, limits)
-        notes += _log_notes(reference, by_log, limits)
-        others = [
-            (clock, _difference(clock, reference, limits)) for clock in usable if clock is not reference
-        ]
-        if abs(by_log.offset) > limits.offset or by_log.drift:
+        reference = _reference(usable)
+        by_log = _drift_of(reference.at, reference.offsets)
+        notes += _log_notes(reference, by_log)
+        others = [(clock, _difference(clock, reference)) for clock in usable if clock is not reference]
+        if abs(by_log.offset) > CLOCK_LIMITS.offset or by_log.drift:
             for clock in clocks:
                 notes += _convert_log_times(clock, reference)
         for clock, found in others:
-            notes += _align(clock, found, reference.signal.name, limits)
+            notes += _align(clock, found, reference.signal.name)
     stamps = [clock.stamps for clock in clocks]
     changed = any(
         not np.array_equal(new, old.stamps if old.has_header else old.logged)
@@ -148,7 +146,7 @@ def settle(signals: Sequence[Signal], limits: ClockLimits = CLOCK_LIMITS) -> Set
     return SettledClocks(stamps=stamps, notes=notes, is_changed=changed)
 
 
-def _clock(signal: Signal, limits: ClockLimits) -> _Clock:
+def _clock(signal: Signal) -> _Clock:
     """Return the clock of a signal, and which of its header stamps are usable."""
     n, logged = len(signal.stamps), signal.logged
     has_log = n > 0 and (bool(np.ptp(logged) > 0) or (n == 1 and logged[0] != 0))
@@ -164,8 +162,10 @@ def _clock(signal: Signal, limits: ClockLimits) -> _Clock:
             f"{signal.name}: {int(absent.sum())} messages have stamp 0, their log time was used"
         )
     n_sound, n_distinct = int(clock.sound.sum()), len(np.unique(signal.stamps[clock.sound]))
-    is_coarse = n_distinct < limits.distinct * n_sound and (n_sound >= limits.few or n_distinct == 1)
-    if is_coarse and len(np.unique(logged)) > n_distinct / limits.distinct:
+    is_coarse = n_distinct < CLOCK_LIMITS.distinct * n_sound and (
+        n_sound >= CLOCK_LIMITS.few or n_distinct == 1
+    )
+    if is_coarse and len(np.unique(logged)) > n_distinct / CLOCK_LIMITS.distinct:
         what = "are all equal" if n_distinct == 1 else f"have only {n_distinct} different values"
         clock.notes.append(f"{signal.name}: the {n_sound} header stamps {what}, the log times were used")
         clock.sound = np.zeros(n, dtype=np.bool_)
@@ -173,22 +173,22 @@ def _clock(signal: Signal, limits: ClockLimits) -> _Clock:
     return clock
 
 
-def _rescale(clocks: Sequence[_Clock], limits: ClockLimits) -> None:
+def _rescale(clocks: Sequence[_Clock]) -> None:
     """Rescale the stamps of clocks that run at another rate than most, in place."""
     rates: dict[int, float] = {}
     for clock in clocks:
         rate = _rate(clock)
-        is_unit = rate is not None and _unit(rate, limits) is not None
-        if rate is not None and (is_unit or clock.sound.sum() >= limits.few):
+        is_unit = rate is not None and _unit(rate) is not None
+        if rate is not None and (is_unit or clock.sound.sum() >= CLOCK_LIMITS.few):
             rates[id(clock)] = rate
-    usual = _usual_rate([rate for rate in rates.values() if _unit(rate, limits) is None], limits)
+    usual = _usual_rate([rate for rate in rates.values() if _unit(rate) is None])
     for clock in clocks:
         rate = rates.get(id(clock))
         if rate is None:
             continue
-        unit = _unit(rate, limits)
+        unit = _unit(rate)
         factor = rate / usual if unit is None else unit
-        if max(factor, 1 / factor) < limits.rate:
+        if max(factor, 1 / factor) < CLOCK_LIMITS.rate:
             continue
         first = int(clock.stamps[clock.sound][0]) if unit is None else 0
         moved = first + np.rint((clock.stamps[clock.sound] - first) * factor).astype(np.int64)
@@ -213,28 +213,28 @@ def _rate(clock: _Clock) -> float | None:
     return float(np.median(by_log[ahead] / passed[ahead])) if ahead.any() else None
 
 
-def _unit(rate: float, limits: ClockLimits) -> float | None:
+def _unit(rate: float) -> float | None:
     """Return the unit [s] in which stamps with this rate are written, if it is not the second."""
-    return next((unit for unit in UNITS if abs(rate / unit - 1) < limits.unit), None)
+    return next((unit for unit in UNITS if abs(rate / unit - 1) < CLOCK_LIMITS.unit), None)
 
 
-def _usual_rate(rates: Sequence[float], limits: ClockLimits) -> float:
+def _usual_rate(rates: Sequence[float]) -> float:
     """Return the rate that most clocks have; among equally frequent ones, that nearest 1."""
 
     def rank(rate: float) -> tuple[int, float]:
-        n_near = sum(max(rate / other, other / rate) < limits.rate for other in rates)
+        n_near = sum(max(rate / other, other / rate) < CLOCK_LIMITS.rate for other in rates)
         return n_near, -abs(float(np.log(rate)))
 
     return max(rates, key=rank, default=1.0)
 
 
-def _join_segments(clock: _Clock, limits: ClockLimits) -> None:
+def _join_segments(clock: _Clock) -> None:
     """Join the stamps of a clock that was reset, or of single wrong stamps, by the log times, in place."""
     index = np.flatnonzero(clock.sound)
     if len(index) < 2:
         return
     steps, by_log = np.diff(clock.stamps[index]) / 1e9, np.diff(clock.signal.logged[index]) / 1e9
-    least = max(limits.offset, limits.significance * float(np.median(np.abs(by_log - steps))))
+    least = max(CLOCK_LIMITS.offset, CLOCK_LIMITS.significance * float(np.median(np.abs(by_log - steps))))
     breaks = np.flatnonzero((by_log >= 0) & ((steps < -least) | (steps - by_log > least)))
     segments = np.split(index, breaks + 1)
     offsets = [float(np.median(clock.signal.logged[s] - clock.stamps[s])) / 1e9 for s in segments]
@@ -259,54 +259,54 @@ def _n_uneven(stamps: Stamps) -> int:
     return int((np.abs(steps - np.median(steps)) > np.median(steps) / 2).sum())
 
 
-def _reference(clocks: Sequence[_Clock], limits: ClockLimits) -> _Clock:
+def _reference(clocks: Sequence[_Clock]) -> _Clock:
     """Return the clock with which most others agree; among equals the one closest to the log times, then the first."""
 
     def rank(clock: _Clock) -> tuple[int, float, bool]:
-        others = (_difference(other, clock, limits) for other in clocks if other is not clock)
-        n_agreeing = sum(abs(d.offset) <= limits.offset and d.drift == 0 for d in others)
-        by_log = _drift_of(clock.at, clock.offsets, limits)
-        return n_agreeing, -round(abs(by_log.drift), 1), abs(by_log.offset) <= limits.offset
+        others = (_difference(other, clock) for other in clocks if other is not clock)
+        n_agreeing = sum(abs(d.offset) <= CLOCK_LIMITS.offset and d.drift == 0 for d in others)
+        by_log = _drift_of(clock.at, clock.offsets)
+        return n_agreeing, -round(abs(by_log.drift), 1), abs(by_log.offset) <= CLOCK_LIMITS.offset
 
     return max(clocks, key=rank)  # the first of equals
 
 
-def _difference(clock: _Clock, reference: _Clock, limits: ClockLimits) -> _Difference:
+def _difference(clock: _Clock, reference: _Clock) -> _Difference:
     """Return the difference between two clocks, at the messages of the first that the second spans."""
-    thin = slice(None, None, 1 + len(clock.at) // limits.most)
+    thin = slice(None, None, 1 + len(clock.at) // CLOCK_LIMITS.most)
     at, offsets = clock.at[thin], clock.offsets[thin]
     low, high = reference.at.min(), reference.at.max()
     common = (at >= low) & (at <= high)
     if common.any():
         at, offsets = at[common], offsets[common]
-    return _drift_of(at, offsets - reference.offset_at(at), limits)
+    return _drift_of(at, offsets - reference.offset_at(at))
 
 
-def _drift_of(at: Floats, values: Floats, limits: ClockLimits) -> _Difference:
+def _drift_of(at: Floats, values: Floats) -> _Difference:
     """Return offset, drift and scatter of values (n,) [s] at log times (n,) [ns], by medians."""
     middle, span = float(at.min() + at.max()) / 2, float(np.ptp(at))
     drift, share = 0.0, (at - middle) / span if span > 0 else np.zeros(len(at))
     third = len(at) // 3
-    if third >= limits.few:
+    if third >= CLOCK_LIMITS.few:
         order = np.argsort(at, kind="stable")
         first, last = order[:third], order[-third:]
         rise = float(np.median(values[last]) - np.median(values[first]))
         run = float(np.median(share[last]) - np.median(share[first]))
         drift = rise / run if run > 0 else 0.0
     scatter = half_range(values - drift * share)
-    if abs(drift) < max(limits.drift, limits.significance * scatter):
+    if abs(drift) < max(CLOCK_LIMITS.drift, CLOCK_LIMITS.significance * scatter):
         drift, scatter = 0.0, half_range(values)
     offset = float(np.median(values - drift * share))
     return _Difference(offset=offset, drift=drift, scatter=scatter, middle=middle, span=span)
 
 
-def _log_notes(reference: _Clock, by_log: _Difference, limits: ClockLimits) -> list[str]:
+def _log_notes(reference: _Clock, by_log: _Difference) -> list[str]:
     """Report log times that differ from the header stamps of all signals."""
-    rate = _rate(reference) if len(reference.at) >= limits.few else None
-    if rate is not None and max(rate, 1 / rate) > limits.rate:
+    rate = _rate(reference) if len(reference.at) >= CLOCK_LIMITS.few else None
+    if rate is not None and max(rate, 1 / rate) > CLOCK_LIMITS.rate:
         return [f"the header stamps run {1 / rate:.3g} times as fast as the log times: they were used"]
     words = list[str]()
-    if abs(by_log.offset) > limits.offset:
+    if abs(by_log.offset) > CLOCK_LIMITS.offset:
         words.append(
             f"{abs(by_log.offset):,.3f} s {'after' if by_log.offset > 0 else 'before'} the header stamps"
         )
@@ -329,13 +329,13 @@ def _convert_log_times(clock: _Clock, reference: _Clock) -> list[str]:
     ]
 
 
-def _align(clock: _Clock, found: _Difference, name: str, limits: ClockLimits) -> list[str]:
+def _align(clock: _Clock, found: _Difference, name: str) -> list[str]:
     """Convert the stamps of a clock to the reference clock `name`, in place; return the notes."""
     apart, is_ahead = abs(found.offset), found.offset < 0
-    most = limits.post_dated if clock.signal.is_correction and is_ahead else limits.offset
-    most = limits.latency if clock.is_joined else most
+    most = CLOCK_LIMITS.post_dated if clock.signal.is_correction and is_ahead else CLOCK_LIMITS.offset
+    most = CLOCK_LIMITS.latency if clock.is_joined else most
     how = f"{apart:,.3f} s {'ahead of' if is_ahead else 'behind'} those of {name}"
-    is_certain = apart > limits.significance * found.scatter
+    is_certain = apart > CLOCK_LIMITS.significance * found.scatter
     if (apart > most and is_certain) or found.drift:
         drift = f" and drift by {found.drift:+.2f} s over the log" if found.drift else ""
         moved = np.rint(1e9 * found.at(clock.signal.logged[clock.sound])).astype(np.int64)
@@ -343,7 +343,7 @@ def _align(clock: _Clock, found: _Difference, name: str, limits: ClockLimits) ->
         what = f"{how}{drift}, the log times agree to {max(found.scatter, 1e-3):.2g} s: they were used to correct the stamps"
     elif apart > most:
         what = f"{how} according to the log times, which scatter by {found.scatter:.2g} s: they were left as they are"
-    elif apart > limits.latency and not clock.signal.is_correction:
+    elif apart > CLOCK_LIMITS.latency and not clock.signal.is_correction:
         what = (
             f"{how} according to the log times, a latency or a clock offset, which `diagnose` estimates: they were left "
             "as they are"

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.publishers import PUBLISHER_LIMITS, PublisherLimits
+from logs.publishers import PUBLISHER_LIMITS as ROBOT
 from logs.transforms import wrap
 from logs.types import Bools, Floats, Ints
 
@@ -38,14 +38,12 @@ class FaultLimits:
     """Duration of equal poses, relative to the usual one, above which the robot stands."""
 
 
-FAULT_LIMITS = FaultLimits()
+FAULTS = FaultLimits()
 
 
 def wrong_poses(
     stamps: Floats,
     poses: Floats,
-    faults: FaultLimits = FAULT_LIMITS,
-    robot: PublisherLimits = PUBLISHER_LIMITS,
 ) -> Bools:
     """Return which poses are wrong: a few in a row, while the poses before and after them continue each other.
 
@@ -61,7 +59,7 @@ def wrong_poses(
     known: Bools = np.asarray(np.isfinite(poses).all(axis=1))
     wrong = ~known
     noise, usual = 0.0, _usual(stamps)
-    for length in range(1, faults.length + 1):
+    for length in range(1, FAULTS.length + 1):
         index = np.flatnonzero(~wrong)
         n = len(index) - length - 2
         if n < 1:
@@ -70,21 +68,19 @@ def wrong_poses(
         first = np.arange(1, n + 1)  # the last pose before those that may be wrong
         whole = np.maximum(t[first + length + 1] - t[first], (length + 1) * usual)
         before = np.maximum(t[first] - t[first - 1], usual)
-        chord, step = (
-            _steps(p[a], p[b], robot) for a, b in ((first, first + length + 1), (first - 1, first))
-        )
-        most = robot.distance + robot.acceleration * whole * (whole + before) / 2
-        continues = _off(chord, step, np.full(n, faults.timing * (length + 1))) <= most
+        chord, step = (_steps(p[a], p[b]) for a, b in ((first, first + length + 1), (first - 1, first)))
+        most = ROBOT.distance + ROBOT.acceleration * whole * (whole + before) / 2
+        continues = _off(chord, step, np.full(n, FAULTS.timing * (length + 1))) <= most
         off = np.min(
-            [_off(_steps(p[first], p[first + k], robot), chord, np.ones(n)) for k in range(1, length + 1)],
+            [_off(_steps(p[first], p[first + k]), chord, np.ones(n)) for k in range(1, length + 1)],
             axis=0,
         )
         noise = noise or float(np.median(off))
-        most = robot.distance + robot.acceleration * whole**2 / 8
-        found = first[continues & (off > np.maximum(most, faults.significance * noise))]
+        most = ROBOT.distance + ROBOT.acceleration * whole**2 / 8
+        found = first[continues & (off > np.maximum(most, FAULTS.significance * noise))]
         wrong[index[found[:, None] + np.arange(1, length + 1)]] = True
     wrong = wrong & known
-    are_single = wrong.sum() <= faults.share * known.sum() and not _are_crowded(wrong)
+    are_single = wrong.sum() <= FAULTS.share * known.sum() and not _are_crowded(wrong)
     return wrong if are_single else np.zeros_like(wrong)
 
 
@@ -99,8 +95,6 @@ def _are_crowded(wrong: Bools) -> bool:
 def jumps(
     stamps: Floats,
     poses: Floats,
-    faults: FaultLimits = FAULT_LIMITS,
-    robot: PublisherLimits = PUBLISHER_LIMITS,
 ) -> Ints:
     """Return the indices (m,) of the poses before jumps, which neither the velocity before nor the one after explains.
 
@@ -112,29 +106,27 @@ def jumps(
     """
     index = _changes(poses)
     stamps, poses = stamps[index], poses[index]
-    steps, took = _steps(poses[:-1], poses[1:], robot), np.maximum(np.diff(stamps), _usual(stamps))
+    steps, took = _steps(poses[:-1], poses[1:]), np.maximum(np.diff(stamps), _usual(stamps))
     if len(steps) < 3:
         return np.zeros(0, dtype=np.intp)
     step, dt = steps[1:-1], took[1:-1]
     excess, most = np.zeros((2, len(dt))), np.zeros((2, len(dt)))
     for side, near in enumerate((slice(None, -2), slice(2, None))):
         longer = np.divide(dt, took[near], out=np.ones(len(dt)), where=took[near] > 0)
-        excess[side] = _off(step, steps[near], faults.timing * np.maximum(longer, 1.0))
+        excess[side] = _off(step, steps[near], FAULTS.timing * np.maximum(longer, 1.0))
         most[side] = (
-            robot.distance + robot.acceleration * faults.timing * dt * (faults.timing * dt + took[near]) / 2
+            ROBOT.distance + ROBOT.acceleration * FAULTS.timing * dt * (FAULTS.timing * dt + took[near]) / 2
         )
     excess[~np.isfinite(excess)] = 0.0
     noise = float(np.median(excess.min(axis=0)))
-    is_jump = (excess > np.maximum(most, max(faults.least, faults.significance * noise))).all(axis=0)
+    is_jump = (excess > np.maximum(most, max(FAULTS.least, FAULTS.significance * noise))).all(axis=0)
     found = index[np.flatnonzero(is_jump) + 2] - 1
-    return found if len(found) <= faults.share * len(steps) else np.zeros(0, dtype=np.intp)
+    return found if len(found) <= FAULTS.share * len(steps) else np.zeros(0, dtype=np.intp)
 
 
 def hung_poses(
     stamps: Floats,
     poses: Floats,
-    faults: FaultLimits = FAULT_LIMITS,
-    robot: PublisherLimits = PUBLISHER_LIMITS,
 ) -> Bools:
     """Return which poses only repeat the one before while the robot moves on, of a driver that hangs and then catches up.
 
@@ -152,26 +144,26 @@ def hung_poses(
     first, usual = _changes(poses), _usual(stamps)
     if len(first) < 4:
         return hung
-    steps = _steps(poses[first[:-1]], poses[first[1:]], robot)
+    steps = _steps(poses[first[:-1]], poses[first[1:]])
     dt = np.maximum(stamps[first[1:]] - stamps[first[1:] - 1], usual)
     before, own, after = slice(None, -2), slice(1, -1), slice(2, None)
     excess = _off(
-        steps[own], steps[after], faults.timing * np.maximum(dt[own] / np.maximum(dt[after], 1e-9), 1.0)
+        steps[own], steps[after], FAULTS.timing * np.maximum(dt[own] / np.maximum(dt[after], 1e-9), 1.0)
     )
     most = (
-        robot.distance
-        + robot.acceleration * faults.timing * dt[own] * (faults.timing * dt[own] + dt[after]) / 2
+        ROBOT.distance
+        + ROBOT.acceleration * FAULTS.timing * dt[own] * (FAULTS.timing * dt[own] + dt[after]) / 2
     )
     spans, ways = np.maximum(np.diff(stamps[first]), usual), np.linalg.norm(steps, axis=1)
     speeds = np.divide(ways, spans, out=np.zeros(len(ways)), where=spans > 0)
-    reach = faults.timing * spans[own] * np.maximum(speeds[before], speeds[after])
-    is_hung = (excess > np.maximum(most, faults.least)) & (ways[own] <= reach)
+    reach = FAULTS.timing * spans[own] * np.maximum(speeds[before], speeds[after])
+    is_hung = (excess > np.maximum(most, FAULTS.least)) & (ways[own] <= reach)
     for k in np.flatnonzero(is_hung) + 1:
         hung[first[k] + 1 : first[k + 1]] = True
     return hung
 
 
-def measured_poses(stamps: Floats, poses: Floats, faults: FaultLimits = FAULT_LIMITS) -> Ints | None:
+def measured_poses(stamps: Floats, poses: Floats) -> Ints | None:
     """Return the indices of the poses that were measured, of odometry that repeats each; None if most differ from the last.
 
     The first of equal poses is the measured one. Where they last longer than usual, the robot stands until the usual time
@@ -182,11 +174,11 @@ def measured_poses(stamps: Floats, poses: Floats, faults: FaultLimits = FAULT_LI
     stamps, poses : (n,) [s] in order, (n, 3) [m, m, rad]
     """
     first = _changes(poses)
-    if len(first) < faults.values or np.median(np.diff(first)) < faults.repeats:
+    if len(first) < FAULTS.values or np.median(np.diff(first)) < FAULTS.repeats:
         return None
     usual = float(np.median(np.diff(stamps[first])))
     ends = np.append(stamps[first[1:]] - usual, stamps[-1])
-    stands = np.diff(stamps[first], append=stamps[-1]) > faults.longer * usual
+    stands = np.diff(stamps[first], append=stamps[-1]) > FAULTS.longer * usual
     until = np.where(stands, np.searchsorted(stamps, ends, side="right") - 1, first)
     number = np.repeat(np.arange(len(first)), np.diff(first, append=len(stamps)))
     return np.flatnonzero(np.arange(len(stamps)) <= until[number])
@@ -197,11 +189,11 @@ def _changes(poses: Floats) -> Ints:
     return np.flatnonzero(np.append(True, (poses[1:] != poses[:-1]).any(axis=1))[: len(poses)])
 
 
-def _steps(first: Floats, second: Floats, robot: PublisherLimits) -> Floats:
+def _steps(first: Floats, second: Floats) -> Floats:
     """Return the steps (n, 3) [m] between poses, in the frame of the odometry, with turns as distances."""
     steps = second - first
     steps[:, 2] = wrap(steps[:, 2])
-    return np.asarray(steps * [1.0, 1.0, robot.lever])
+    return np.asarray(steps * [1.0, 1.0, ROBOT.lever])
 
 
 def _usual(stamps: Floats) -> float:

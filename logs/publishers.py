@@ -53,7 +53,7 @@ class _Track:
     since: int = 0
     """Position in the track of the pose from which the velocity is measured."""
 
-    def excess(self, time: float, pose: Pose, limits: PublisherLimits) -> float:
+    def excess(self, time: float, pose: Pose) -> float:
         """Return the distance [m] of a pose from the predicted one; inf if the robot cannot get there.
 
         Over a time t from the last pose, whose velocity was measured over tau, an acceleration a adds a t (t + tau) / 2.
@@ -64,27 +64,30 @@ class _Track:
         if over > 0:
             ahead = _step(self.poses[self.since], last)
             way = tuple(one - step * dt / over for one, step in zip(way, ahead, strict=True))  # type: ignore[assignment]
-        off = hypot(way[0], way[1], limits.lever * way[2])
-        most = limits.acceleration * dt * (dt + over) / 2 if over > 0 else JUMP_LIMITS.speed * dt
-        return off if off <= limits.distance + most else inf
+        off = hypot(way[0], way[1], PUBLISHER_LIMITS.lever * way[2])
+        most = PUBLISHER_LIMITS.acceleration * dt * (dt + over) / 2 if over > 0 else JUMP_LIMITS.speed * dt
+        return off if off <= PUBLISHER_LIMITS.distance + most else inf
 
-    def distance(self, time: float, pose: Pose, limits: PublisherLimits) -> float:
+    def distance(self, time: float, pose: Pose) -> float:
         """Return the distance [m] of a pose from the last one; inf if the robot cannot get there."""
         x, y, _ = _step(self.poses[-1], pose)
         off = hypot(x, y)
-        return off if off <= limits.distance + JUMP_LIMITS.speed * (time - self.times[-1]) else inf
+        return off if off <= PUBLISHER_LIMITS.distance + JUMP_LIMITS.speed * (time - self.times[-1]) else inf
 
-    def add(self, k: int, time: float, pose: Pose, limits: PublisherLimits) -> None:
+    def add(self, k: int, time: float, pose: Pose) -> None:
         """Add a message."""
         self.index.append(k)
         self.times.append(time)
         self.poses.append(pose)
-        while self.since + 1 < len(self.times) and time - self.times[self.since + 1] >= limits.span:
+        while self.since + 1 < len(self.times) and time - self.times[self.since + 1] >= PUBLISHER_LIMITS.span:
             self.since += 1
 
-    def moves(self, limits: PublisherLimits) -> bool:
+    def moves(self) -> bool:
         """Tell whether the poses move by more than poses of another publisher that joined this track."""
-        return bool((np.ptp(self.poses, axis=0) * [1.0, 1.0, limits.lever]).max() > 2 * limits.distance)
+        return bool(
+            (np.ptp(self.poses, axis=0) * [1.0, 1.0, PUBLISHER_LIMITS.lever]).max()
+            > 2 * PUBLISHER_LIMITS.distance
+        )
 
 
 def _step(first: Pose, second: Pose) -> Pose:
@@ -92,9 +95,7 @@ def _step(first: Pose, second: Pose) -> Pose:
     return x, y, float(np.pi - (np.pi - phi) % (2 * np.pi))
 
 
-def of_one_publisher(
-    stamps: Floats, poses: Floats, limits: PublisherLimits = PUBLISHER_LIMITS
-) -> Ints | None:
+def of_one_publisher(stamps: Floats, poses: Floats) -> Ints | None:
     """Return the indices of the poses of one of several publishers; None if no two publishers alternate.
 
     It is the publisher with the most poses of those that move. If it restarts, its poses before and after are joined.
@@ -104,10 +105,10 @@ def of_one_publisher(
     stamps : (n,) [s] in order.
     poses : (n, 3) [m, m, rad]
     """
-    tracks = _tracks(stamps, poses, limits)
+    tracks = _tracks(stamps, poses)
     if not tracks:
         return None
-    tracks.sort(key=lambda track: (not track.moves(limits), -len(track.index)))
+    tracks.sort(key=lambda track: (not track.moves(), -len(track.index)))
     chosen = list[_Track]()
     for track in tracks:
         if all(_follow(track, other) for other in chosen):
@@ -120,29 +121,29 @@ def of_one_publisher(
         last = track.index[-1]
     fewer = min(int(is_first.sum()), int((~is_first).sum()))
     n_changes = int((is_first[1:] != is_first[:-1]).sum())
-    if fewer < limits.share * len(stamps) or n_changes < limits.alternating * fewer:
+    if fewer < PUBLISHER_LIMITS.share * len(stamps) or n_changes < PUBLISHER_LIMITS.alternating * fewer:
         return None
     return np.flatnonzero(is_first)
 
 
-def _tracks(stamps: Floats, poses: Floats, limits: PublisherLimits) -> list[_Track] | None:
+def _tracks(stamps: Floats, poses: Floats) -> list[_Track] | None:
     """Return the tracks of the poses that are finite; None if there are more than `tracks`."""
     tracks = list[_Track]()
     for k in np.flatnonzero(np.isfinite(poses).all(axis=1)).tolist():
         time, (x, y, phi) = float(stamps[k]), poses[k].tolist()
-        off = [track.excess(time, (x, y, phi), limits) for track in tracks]
+        off = [track.excess(time, (x, y, phi)) for track in tracks]
         if min(off, default=inf) == inf:
-            tracks.append(_Track(before=_shared(tracks, time, (x, y, phi), limits)))
+            tracks.append(_Track(before=_shared(tracks, time, (x, y, phi))))
             off.append(0.0)
-        tracks[off.index(min(off))].add(k, time, (x, y, phi), limits)
-        if len(tracks) > limits.tracks:
+        tracks[off.index(min(off))].add(k, time, (x, y, phi))
+        if len(tracks) > PUBLISHER_LIMITS.tracks:
             return None
     return tracks
 
 
-def _shared(tracks: list[_Track], time: float, pose: Pose, limits: PublisherLimits) -> list[int]:
+def _shared(tracks: list[_Track], time: float, pose: Pose) -> list[int]:
     """Return the messages before a pose that begins a track: those of the nearest track from which the robot gets there."""
-    off = [track.distance(time, pose, limits) for track in tracks]
+    off = [track.distance(time, pose) for track in tracks]
     if min(off, default=inf) == inf:
         return []
     near = tracks[off.index(min(off))]
