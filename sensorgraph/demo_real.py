@@ -82,8 +82,8 @@ def every_nth(run: Run, n: int) -> Run:
     return run.take_scans(slice(None, None, n))
 
 
-def odometry_drift(found: LocatedRun, distance: float = DRIFT_DISTANCE) -> tuple[float, float]:
-    """Return the median error [m] of the odometry after a distance [m], as logged and corrected; nan without odometry."""
+def odometry_drift(found: LocatedRun) -> tuple[float, float]:
+    """Return the median error [m] of the odometry after `DRIFT_DISTANCE`, as logged and corrected; nan without odometry."""
     motion = odometry_of(found.run)
     if motion is None or found.wheels is None:
         return float("nan"), float("nan")
@@ -97,7 +97,7 @@ def odometry_drift(found: LocatedRun, distance: float = DRIFT_DISTANCE) -> tuple
         better[k + 1] = compose(better[k], step)
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(found.poses[:, :2], axis=0).T))])
     first = np.arange(0, len(driven), 10)
-    last = np.searchsorted(driven, driven[first] + distance)
+    last = np.searchsorted(driven, driven[first] + DRIFT_DISTANCE)
     first, last = first[last < len(driven)], last[last < len(driven)]
     if len(first) == 0:
         return float("nan"), float("nan")

@@ -82,11 +82,9 @@ def with_rays_like(
     )
 
 
-def ray_order_line(
-    bearings: Floats, other: Floats, other_name: str, *, tolerance: float = SAME_BEARING
-) -> str:
+def ray_order_line(bearings: Floats, other: Floats, other_name: str) -> str:
     """Return a line that reports a different numbering of the same rays; empty if the numbering is the same."""
-    order = ray_order(bearings, other, tolerance=tolerance)
+    order = ray_order(bearings, other)
     if order is None or order[0] == 0:
         return ""
     return (

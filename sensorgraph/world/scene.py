@@ -324,13 +324,8 @@ _DEFAULTS = {"straight": True, "within": False}
 """Value of a field of `Beams` that is None."""
 
 
-def draw_readings(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) -> Floats:
-    """Sample readings (n_scans, n_rays) [m] from an evaluated scene: noise, lattice, limits (REP-117).
-
-    Parameters
-    ----------
-    loss : Probability that any ray is lost, independent of what it hits.
-    """
+def draw_readings(scene: Scene, rng: np.random.Generator) -> Floats:
+    """Sample readings (n_scans, n_rays) [m] from an evaluated scene: noise, lattice, limits (REP-117)."""
     beams, sensor = scene.beams, scene.sensor
     shape = beams.reading.shape
     hit = np.isfinite(beams.reading)
@@ -339,8 +334,8 @@ def draw_readings(scene: Scene, rng: np.random.Generator, *, loss: float = 0.0) 
         short = rng.random(shape) < scene.shorts
         top = np.minimum(np.where(hit, beams.reading, sensor.range_max), sensor.range_max)
         readings = np.where(short, rng.random(shape) * top, readings)
-    if loss > 0 or (np.asarray(beams.p_return) < 1.0).any():
-        readings = np.where(rng.random(shape) < np.asarray(beams.p_return) * (1 - loss), readings, np.inf)
+    if (np.asarray(beams.p_return) < 1.0).any():
+        readings = np.where(rng.random(shape) < np.asarray(beams.p_return), readings, np.inf)
     if scene.outliers:
         stray = rng.random(shape) < scene.outliers
         readings = np.where(stray, rng.random(shape) * sensor.range_max, readings)

@@ -46,7 +46,7 @@ COUNTS = ("not_driven", "no_way_found")
 """Reasons that are failures of the plan; drawn on top of the others."""
 
 
-def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> None:
+def plan_picture(plan: Plan, arena: Arena, path: Path) -> None:
     """Draw the route with time as colour, its start and its missed bins, and coverage over time."""
     width = 10.0
     figure = new_figure(width, map_height(width * 0.60, arena.bounds, 3.2, 11.0) + LEGEND_ROOM)
@@ -57,10 +57,9 @@ def plan_picture(plan: Plan, arena: Arena, path: Path, *, title: str = "") -> No
     legend_above(left)
     _coverage_curve(right, plan)
     report = plan.report
-    lead = f"{title}:  " if title else ""
     title_flush_left(
         figure,
-        f"{lead}{100 * report['coverage']:.2f} % of {report['reachable_cells']:,} (x, y, φ) bins in "
+        f"{100 * report['coverage']:.2f} % of {report['reachable_cells']:,} (x, y, φ) bins in "
         f"{_hours(report['drive_time_s'])}, {report['ratio']:.2f} of the reference time",
     )
     save_figure(figure, path)
