@@ -76,7 +76,7 @@ def follow(field: DistanceGrid, sigma: float, scans: ScanPoints, steps: ScanTrac
         own = scans.of(k)
         if own.stop - own.start >= s.min_points:
             way = float(np.hypot(step[0], step[1]))
-            sd = np.asarray(s.prior_floor) + s.prior_per_metre * way + s.prior_per_turn * abs(step[2])
+            sd = np.asarray(s.prior_floor) + s.prior_per_motion * (way + abs(step[2]))
             poses[k] = _matched(field, sigma, scans.points[own], poses[k], information_at(poses[k], sd))
         if np.isfinite(truth[k, 0]) and np.hypot(*(poses[k] - truth[k])[:2]) > LOST:
             poses[k] = truth[k]

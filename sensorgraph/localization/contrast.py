@@ -20,7 +20,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.result import Status, WheelParameters, true_intervals
-from sensorgraph.localization.settings import SIGNIFICANT
+from sensorgraph.localization.settings import N_REWEIGHTED, SIGNIFICANT
 from sensorgraph.localization.wheels import WheelEstimate, corrected_steps
 from sensorgraph.robust import SIGMA_OF_MAD, robust_sigma
 from sensorgraph.types import Bools, Floats, Ints
@@ -33,8 +33,6 @@ LEAST_OFFSET = 0.03
 """[m] Distance of the laser from its stated place below which it is not worth a note ..."""
 MIN_TURNS = 0.1
 """[rad²] Sum of squared turns below which nothing shows this distance."""
-N_REWEIGHTED = 10
-"""Number of reweighted fits of this distance; it settles within five."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -173,7 +173,7 @@ def joint_fit(
         max_matches=s.quick_modes,
         max_restarts=s.quick_restarts,
     )
-    points = view.points[evenly(len(view.points), s.quick_points)]
+    points = view.points[evenly(len(view.points), s.points // 2)]
     found = _judged(_modes(points, place, None, few), view, place, s.min_seen_anywhere, few)
     return (found.fit, found.poses[found.fits.argmax()]) if len(found.poses) else (0.0, np.full(3, np.nan))
 

@@ -281,7 +281,7 @@ class LoopCloser:
             return f"only {found.inliers:.0%} of the points lie on surfaces"
         if np.abs(found.pose[:2] - guess[:2]).max() > window + s.window:
             return "the match left the search window"
-        if float(np.linalg.inv(information_of(found, s))[2, 2]) > s.weak_turn**2:
+        if float(np.linalg.inv(information_of(found, s))[2, 2]) > s.turn_window**2:
             return "the visible surfaces do not determine the heading"
         through = seen_through(older, newer, found.pose, s.margin)
         if through > s.see_through:

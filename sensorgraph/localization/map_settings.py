@@ -37,7 +37,7 @@ class GlobalSearchSettings:
     """Global search for a robot, without a prior pose."""
 
     points: int = 160
-    """Maximum number of points of a view."""
+    """Maximum number of points of a view; a quick search finds places with half of them, and evaluates these with all."""
     min_points: int = 25
     """Minimum number of points of a view, and lower limit of the number taken from each of its scans."""
     heading_step: float = 0.0175
@@ -53,7 +53,7 @@ class GlobalSearchSettings:
     max_restarts: int = 5
     """Number of the best matches around which matches start again. The field has one place within `apart`,
     but close walls can hold a match at several poses."""
-    restart_offset: float = 0.25
+    restart_offset: float = FRONT_END.start_offsets[-1]
     """[m] Offset of these starts along x and y."""
     accept_fit: float = 0.6
     """`GlobalPlaces.fit` of the first place at which the search stops."""
@@ -64,8 +64,6 @@ class GlobalSearchSettings:
     """[m] Distance below which two places are the same, if their headings differ by less than `apart_turn`."""
     apart_turn: float = 0.26
     """[rad] Heading difference below which two places are the same."""
-    quick_points: int = 80
-    """Maximum number of points with which a quick search finds places; all points evaluate these."""
     quick_modes: int = 12
     """Maximum number of places that a quick search evaluates and matches."""
     quick_ratio: float = 0.85
@@ -97,10 +95,8 @@ class MapTrackingSettings:
     """Minimum number of points of a scan to be matched."""
     prior_floor: tuple[float, float, float] = (0.01, 0.01, 0.005)
     """[m, m, rad] Standard deviations of the motion from scan to scan, of any length."""
-    prior_per_metre: float = 0.03
-    """[m/m, rad/m] Additional standard deviation per distance driven."""
-    prior_per_turn: float = 0.03
-    """[m/rad, rad/rad] Additional standard deviation per turn."""
+    prior_per_motion: float = 0.03
+    """[m/m, rad/m] Additional standard deviation per distance driven; also per turn, [m/rad, rad/rad]."""
     max_offset: float = 0.3
     """[m] Maximum distance between a match and its prediction; a larger one indicates another wall."""
     max_turn_offset: float = 0.17
@@ -159,13 +155,12 @@ class MapTrackingSettings:
     confirmed_share: float = 0.75
     """Minimum share of the usual fit for a confirmed pose."""
     search_distance: float = 0.3
-    """[m] Distance between searches while the robot is lost; it doubles after each failed search."""
+    """[m] Distance between searches while the robot is lost; it doubles after each failed search, up to eight times as much or
+    `search_growth` times the distance driven while lost."""
     search_turn: float = 0.35
     """[rad] Turn between searches; it doubles likewise."""
-    max_search_distance: float = 2.4
-    """[m] Maximum distance between searches, or `search_growth` times the distance driven while lost."""
     search_growth: float = 0.1
-    """[m/m] Ratio that makes searches rarer where a long drive fits nowhere."""
+    """[m/m] Ratio of the distance between searches to the distance driven while lost, where a long drive fits nowhere."""
     looks: int = 5
     """Number of short drives that are searched before all scans are tracked. If none fits by `near_fit`, the map is
     of another place. A fit below `found_fit` counts only as far as the scans before or after continue there: short

@@ -170,7 +170,7 @@ class MapTracker:
         if own.stop - own.start < s.min_points:
             return None
         way = float(np.hypot(step[0], step[1]))
-        deviations = np.asarray(s.prior_floor) + s.prior_per_metre * way + s.prior_per_turn * abs(step[2])
+        deviations = np.asarray(s.prior_floor) + s.prior_per_motion * (way + abs(step[2]))
         found = match(
             self.scans.points[own], self.scans.normals[own], self.place.surfaces, predicted,
             prior_information=information_at(predicted, deviations),
@@ -226,10 +226,11 @@ class MapTracker:
         if state.last_search < 0:
             return True
         lost = self.driven[k] - self.driven[state.view[0]]
-        most = max(s.max_search_distance, s.search_growth * lost)
+        usual = 8 * s.search_distance
+        most = max(usual, s.search_growth * lost)
         share = min(2.0 ** (state.n_searches - 1), most / s.search_distance)
         turn = abs(wrap(self.track.poses[k, 2] - self.track.poses[state.last_search, 2]))
-        turn_limit = min(share * s.search_turn, np.pi / 2 * most / s.max_search_distance)
+        turn_limit = min(share * s.search_turn, np.pi / 2 * most / usual)
         way = self.driven[k] - self.driven[state.last_search]
         return bool(way > share * s.search_distance or turn > turn_limit)
 

@@ -30,11 +30,9 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_settings import CHECK
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import SIGNIFICANT
+from sensorgraph.localization.settings import N_REWEIGHTED, SIGNIFICANT
 from sensorgraph.types import Floats
 
-N_REWEIGHTED = 15
-"""Number of reweighted fits of a direction; it settles within ten."""
 MAX_RADIANS = 7.0
 """[rad] A heading beyond this is in degrees, or was never wrapped."""
 DISTANCE_UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 0.0254: "inches", 0.3048: "feet"}

@@ -14,6 +14,8 @@ SIGNIFICANT = 4.0
 """Standard errors beyond which a difference is not chance."""
 CAUCHY = 3.0
 """Standard deviations at which Cauchy's weight is 1/2."""
+N_REWEIGHTED = 15
+"""Number of reweighted fits of a robust estimate; it settles within ten."""
 EDGE_FLOOR = (0.004, 0.004, 0.0007)
 """[m, m, rad] Minimum standard deviations of an edge of the pose graph."""
 
@@ -213,14 +215,9 @@ class ClosureSettings:
     """Search and validation of loop closures."""
 
     submap: int = 16
-    """Number of key frames of a submap."""
-    step: int = 8
-    """Number of key frames between consecutive submaps."""
+    """Number of key frames of a submap; consecutive submaps overlap by half."""
     core: int = 6
     """Number of key frames in the middle of a submap that are searched for in an older one."""
-    apart: int = 24
-    """Minimum number of key frames between two submaps of a track segment; closer ones are neighbours along
-    the track."""
     reach: float = 4.0
     """[m] Distance between the middles of two submaps that can observe the same surfaces."""
     window: float = 0.4
@@ -228,7 +225,8 @@ class ClosureSettings:
     max_window: float = 12.0
     """[m] Maximum half width."""
     turn_window: float = 0.05
-    """[rad] Minimum half width of the heading search."""
+    """[rad] Minimum half width of the heading search. A closure is rejected if the standard deviation of its heading is larger,
+    because it would constrain nothing."""
     turn_window_per_metre: float = 0.003
     """[rad/m] Growth of the heading half width per distance driven since the last closure."""
     max_turn_window: float = 0.8
@@ -266,9 +264,6 @@ class ClosureSettings:
     """[m] Standard deviation above which a direction is unconstrained, as along a corridor."""
     no_information: float = 10.0
     """[m] Standard deviation assigned to an unconstrained direction."""
-    weak_turn: float = 0.05
-    """[rad] Standard deviation of the heading above which a closure is rejected, because it would constrain
-    nothing."""
     see_through: float = 0.2
     """Maximum share of an older place's visible points in space that rays crossed. True closures have at most
     0.22 in aces and 0.07 in fr079; the same closures displaced by 0.5 m have a median of 0.58."""
@@ -281,6 +276,11 @@ class ClosureSettings:
     """Number of submaps between optimizations of the pose graph during the search."""
     second_turn: float = 0.035
     """[rad] Heading half width of the second pass."""
+
+    @property
+    def apart(self) -> int:
+        """Minimum number of key frames between two submaps of a track segment; closer ones are neighbours along the track."""
+        return self.submap + self.submap // 2
 
 
 CLOSURES = ClosureSettings()

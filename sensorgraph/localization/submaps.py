@@ -99,7 +99,7 @@ def cut_submaps(scans: ScanPoints, track: ScanTrack, settings: ClosureSettings =
     for piece in np.unique(track.piece):
         own = np.flatnonzero(track.piece == piece)
         last_start = max(len(own) - settings.submap // 2, 1)
-        for start in range(0, last_start, settings.step):
+        for start in range(0, last_start, settings.submap // 2):
             chosen = own[start : start + settings.submap]
             middle = int(chosen[len(chosen) // 2])
             poses = track.poses[track.key_frames[chosen]]
