@@ -13,7 +13,7 @@ import numpy as np
 from sensorgraph.localization.patches import assign, cut_patches
 from sensorgraph.localization.scan_track import determines_all
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT
+from sensorgraph.localization.settings import MATCH, REFINEMENT, SIGNIFICANT
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
@@ -219,7 +219,7 @@ def _fit_patches(
         residual = np.einsum("ij,ij->i", off, normal)
         along = -off[:, 0] * normal[:, 1] + off[:, 1] * normal[:, 0]
         noise = min(
-            max(robust_sigma(residual) if len(residual) else sigma, REFINEMENT.min_sigma),
+            max(robust_sigma(residual) if len(residual) else sigma, MATCH.min_noise),
             sigma,
         )
         count = np.bincount(patch, minlength=m)
@@ -233,7 +233,7 @@ def _fit_patches(
     total = np.bincount(patch, soft, m) + 1e-12
     along = along - (np.bincount(patch, soft * along, m) / total)[patch]
     residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
-    weight = np.where(good[patch], soft / np.maximum(scale, REFINEMENT.min_sigma**2)[patch], 0.0)
+    weight = np.where(good[patch], soft / np.maximum(scale, MATCH.min_noise**2)[patch], 0.0)
     return weight, residual, along, normal, noise
 
 

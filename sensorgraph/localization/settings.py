@@ -70,8 +70,8 @@ class LineMatchSettings:
     """Sum of neighbour weights below which no line is fitted."""
     same_side: float = 0.3
     """Cosine between two normals below which their points lie on different surfaces."""
-    min_noise: float = 0.003
-    """[m] Lower bound of the residual noise; it keeps the information of a match finite."""
+    min_noise: float = 0.002
+    """[m] Lower bound of the noise of residuals, and of the roughness of a surface; it keeps information finite."""
     inlier: float = 2.0
     """Number of standard deviations within which a point is an inlier."""
     dense: float = 0.09
@@ -305,8 +305,6 @@ class RefinementSettings:
     displaced visits attract each other."""
     last_sigma: float = 0.02
     """[m] The same in the last iterations, unless the patch is rougher."""
-    min_sigma: float = 0.002
-    """[m] Lower bound of the roughness of a patch."""
     shrinkage: float = 10.0
     """Weight, in points, of the noise of all patches in the noise of one."""
     roundness: float = 0.25
