@@ -240,6 +240,22 @@ def test_a_lost_robot_is_not_ok_because_nothing_known_is_in_sight() -> None:
     assert words == {("ok", 0.05): "ok", ("lost", 0.05): "ok", ("ok", 3.0): "ok", ("lost", 3.0): "lost"}
 
 
+@pytest.mark.parametrize(
+    ("drift", "supports"), [((0.01, 0.01), False), ((0.3, 0.01), False), ((0.3, 0.1), True)]
+)
+def test_the_belief_supports_a_mode_as_long_as_the_drift_of_the_mode_explains_their_distance(
+    drift: tuple[float, float], supports: bool
+) -> None:
+    """Where the graph answers no ray, a mode drifts by odometry, and without support it would count as not predicted."""
+    way, turn = drift  # standard deviations [m, rad]
+    mode = Mode(
+        pose=np.zeros(3), covariance=np.diag([way**2, way**2, turn**2]), score=0.0, number=1, is_belief=True
+    )
+    believed = np.array([0.5, 0.0, 0.2])
+    assert mode.without_belief(believed, TRACKING.tolerance).is_belief == supports
+    assert not mode.without_belief(np.array([2.0, 0.0, 0.0]), TRACKING.tolerance).is_belief
+
+
 def test_a_robot_that_is_pushed_and_believes_it_is_not_said_to_be_off() -> None:
     t = 0.1 * np.arange(120)
     x, y = 3.2 + 1.5 * np.cos(0.5 * t), 2.6 + 1.5 * np.sin(0.5 * t)

@@ -19,6 +19,9 @@ from sensorgraph.watching.resemblance import resemblance_of
 from sensorgraph.watching.scan_input import ScanInput, apart
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 
+REGION = 1.96
+"""Standard deviations to the end of the central 95 % of a normal distribution."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mode:
@@ -35,7 +38,7 @@ class Mode:
     number: int
     """Number that stays while the mode is followed."""
     is_belief: bool = False
-    """Whether the robot's belief supports it: it was added as the believed pose, and still is near it."""
+    """Whether the robot's belief supports it: it was added as the believed pose, which its distribution still contains."""
     is_matched: bool = False
     """Whether the last scan was matched to the surfaces."""
     answered: float = 0.0
@@ -51,7 +54,7 @@ class Mode:
 
     def without_belief(self, believed: Floats, tolerance: tuple[float, float]) -> Mode:
         """Return the mode without the support of the belief, if the robot does not believe it any more."""
-        return replace(self, is_belief=self.is_belief and self.is_at(believed, tolerance))
+        return replace(self, is_belief=self.is_belief and self.contains(believed, tolerance))
 
     def merged(self, other: Mode) -> Mode:
         """Return the mode with another that has met it."""
@@ -94,6 +97,13 @@ class Mode:
         """Tell whether the mode is within a tolerance [m, rad] of a pose (3,)."""
         way, turn = apart(self.pose, pose)
         return way < tolerance[0] and turn < tolerance[1]
+
+    def contains(self, pose: Floats, tolerance: tuple[float, float]) -> bool:
+        """Tell whether a pose (3,) is within a tolerance [m, rad] of the 95 % region of the mode."""
+        way, turn = apart(self.pose, pose)
+        along = (pose - self.pose)[:2] / max(way, 1e-9)
+        wide = REGION * math.sqrt(max(float(along @ self.covariance[:2, :2] @ along), 0.0))
+        return way < tolerance[0] + wide and turn < tolerance[1] + REGION * math.sqrt(self.covariance[2, 2])
 
 
 def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING) -> Mode:
