@@ -12,6 +12,11 @@ The state is the pose (x, y, phi) of base_link in map and the errors
 A step (dx, dy, dphi) of the odometry moves the pose by R(-a) ((1 + e_d) dx, (1 + e_d) dy) and (1 + e_t) dphi + k |d|, as the
 tracked heading contains a. A tracked pose is that of the robot T later: it is ahead by v T and omega T. It is moved by l, which
 the robot's turns show.
+
+Each stamp has an error of its own, so that a tracked pose of a moving robot is scattered along its motion. Such errors do not
+add up over the way, unlike those of the odometry. How much those add up depends on robot and floor, so it is estimated: one
+filter for each of several noise levels, which the likelihoods of their innovations weigh (Magill 1965, "Optimal adaptive
+estimation of sampled stochastic processes").
 """
 
 from __future__ import annotations
@@ -31,8 +36,13 @@ TURN_NOISE = np.array([0.01, 0.01, 0.015])
 """[m, m, rad] The same after one radian."""
 STILL_NOISE = np.array([0.0005, 0.0005, 0.0003])
 """[m, m, rad] of a step without motion."""
-POSE_NOISE = np.array([0.02, 0.02, 0.006])
-"""[m, m, rad] Standard deviations of a tracked pose, from errors of the map that neighbouring poses do not share."""
+LEVELS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
+"""Ratios of the noise of a robot's odometry to these."""
+POSE_NOISE = np.array([0.005, 0.005, 0.008])
+"""[m, m, rad] Standard deviations of a tracked pose, from errors of the map that neighbouring poses do not share. These and
+`STAMP_NOISE` have the greatest likelihood on the second half of the fr079 log."""
+STAMP_NOISE = 0.03
+"""[s] Standard deviation of the stamps of scans; 27 ms on fr079, 44 ms on ACES."""
 OUTLIER = 30.0
 """Squared normalised innovation above which a step was no motion of this model (slip, a push, another place)."""
 
@@ -42,14 +52,16 @@ class OdometryErrors:
 
     def __init__(self) -> None:
         self.age = 0.0
-        self.mean = np.zeros(3 + N_ERRORS)
+        n = 3 + N_ERRORS
         sizes = np.array([fault.size for fault in DISTANCE_FAULTS])
-        self.covariance = np.diag(np.concatenate([np.full(3, 1e-3), sizes**2]))
+        self.mean = np.zeros((len(LEVELS), n))
+        self.covariance = np.tile(np.diag(np.concatenate([np.full(3, 1e-3), sizes**2])), (len(LEVELS), 1, 1))
+        self.log_likelihood = np.zeros(len(LEVELS))
         self.has_pose = False
-        self.scale, self.n = 1.0, 0
+        self.scale, self.n = np.ones(len(LEVELS)), 0
+        """(n_levels,) Mean squared normalised innovation of one coordinate, over the last 100."""
         self.weight = 0.0
         """Number of independent poses."""
-        self.n_odd = 0
 
     def add(self, step: Floats, twist: Floats, tracked: Floats, weight: float = 1.0) -> float:
         """Take a step (3,) of the odometry, the twist (2,) and the tracked pose (3,); return the squared innovation.
@@ -65,33 +77,43 @@ class OdometryErrors:
         self.weight += weight
         return self._correct(twist, tracked, POSE_NOISE**2 / max(weight, 1e-3))
 
+    @property
+    def levels(self) -> Floats:
+        """(n_levels,) Probability of each noise level."""
+        p = np.exp(self.log_likelihood - self.log_likelihood.max())
+        return np.asarray(p / p.sum())
+
     def _begin(self, twist: Floats, tracked: Floats) -> None:
         """Set the pose at which the tracked one would be seen; how far it is behind depends on the time error."""
-        v, omega = twist
-        late, phi = self.mean[-1], tracked[2] - omega * self.mean[-1]
-        by = np.zeros((3, N_ERRORS))  # derivative of the tracked pose by the errors
-        by[:2, MOUNT] = _turn(phi)
-        by[:, -1] = v * np.cos(phi), v * np.sin(phi), omega
-        moved = by[:2] @ self.mean[3:]
-        self.mean[:3] = tracked[0] - moved[0], tracked[1] - moved[1], tracked[2] - omega * late
-        self.covariance[:3, 3:] = -by @ self.covariance[3:, 3:]
-        self.covariance[3:, :3] = self.covariance[:3, 3:].T
-        self.covariance[:3, :3] = np.diag(POSE_NOISE**2) + by @ self.covariance[3:, 3:] @ by.T
+        late = self.mean[:, -1]
+        phi = tracked[2] - twist[1] * late
+        by = _by_errors(phi, twist)
+        moved = by[:, :2] @ self.mean[:, 3:, None]
+        self.mean[:, :2] = tracked[:2] - moved[:, :, 0]
+        self.mean[:, 2] = phi
+        of_errors = by @ self.covariance[:, 3:, 3:]
+        self.covariance[:, :3, 3:] = -of_errors
+        self.covariance[:, 3:, :3] = -of_errors.transpose(0, 2, 1)
+        noise = np.diag(POSE_NOISE**2) + _of_stamps(by)
+        self.covariance[:, :3, :3] = noise + of_errors @ by.transpose(0, 2, 1)
         self.has_pose = True
 
     def forget_pose(self) -> None:
         """Begin at the next tracked pose again, as the motion up to there is not known."""
         self.has_pose = False
-        self.covariance[:3, 3:] = 0.0
-        self.covariance[3:, :3] = 0.0
+        self.covariance[:, :3, 3:] = 0.0
+        self.covariance[:, 3:, :3] = 0.0
 
     def estimates(self) -> tuple[Floats, Floats]:
         """Return values and standard errors (n_errors,) of the data alone, without the prior."""
         prior = np.array([fault.size for fault in DISTANCE_FAULTS]) ** 2
-        variance = np.diag(self.covariance)[3:]
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2)[:, 3:]
         own = 1.0 / np.maximum(1.0 / variance - 1.0 / prior, 1e-9)  # [of the data]
-        values = self.mean[3:] / variance * own
-        return values, np.sqrt(own * max(self.scale, 1.0))
+        values = self.mean[:, 3:] / variance * own
+        p = self.levels
+        mean = p @ values
+        spread = own * np.maximum(self.scale, 1.0)[:, None] + (values - mean) ** 2
+        return mean, np.sqrt(p @ spread)
 
     @property
     def freedom(self) -> float:
@@ -99,50 +121,68 @@ class OdometryErrors:
         return max(3.0 * self.weight - N_ERRORS, 1.0)
 
     def _move(self, step: Floats) -> None:
-        phi, e_d, e_t, k, a = self.mean[2:7]
+        phi, e_d, e_t, k, a = self.mean[:, 2:7].T
         way = float(np.hypot(step[0], step[1]))
         forward = way if step[0] >= 0 else -way
         cos, sin = np.cos(phi - a), np.sin(phi - a)
         dx, dy = cos * step[0] - sin * step[1], sin * step[0] + cos * step[1]
-        jacobian = np.eye(len(self.mean))
-        jacobian[0, 2], jacobian[1, 2] = -(1 + e_d) * dy, (1 + e_d) * dx
-        jacobian[0, 3], jacobian[1, 3] = dx, dy
-        jacobian[2, 4], jacobian[2, 5] = step[2], forward
-        jacobian[0, 6], jacobian[1, 6] = (1 + e_d) * dy, -(1 + e_d) * dx
-        self.mean[:3] += ((1 + e_d) * dx, (1 + e_d) * dy, (1 + e_t) * step[2] + k * forward)
-        noise = STILL_NOISE**2 + STEP_NOISE**2 * way + TURN_NOISE**2 * abs(step[2])
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        self.covariance = jacobian @ self.covariance @ jacobian.T
-        self.covariance[:3, :3] += (turn * noise) @ turn.T
+        jacobian = np.tile(np.eye(self.mean.shape[1]), (len(LEVELS), 1, 1))
+        jacobian[:, 0, 2], jacobian[:, 1, 2] = -(1 + e_d) * dy, (1 + e_d) * dx
+        jacobian[:, 0, 3], jacobian[:, 1, 3] = dx, dy
+        jacobian[:, 2, 4], jacobian[:, 2, 5] = step[2], forward
+        jacobian[:, 0, 6], jacobian[:, 1, 6] = (1 + e_d) * dy, -(1 + e_d) * dx
+        self.mean[:, 0] += (1 + e_d) * dx
+        self.mean[:, 1] += (1 + e_d) * dy
+        self.mean[:, 2] += (1 + e_t) * step[2] + k * forward
+        noise = LEVELS**2 * (STILL_NOISE**2 + STEP_NOISE**2 * way + TURN_NOISE**2 * abs(step[2]))[:, None]
+        self.covariance = jacobian @ self.covariance @ jacobian.transpose(0, 2, 1)
+        turn = _turn(phi - a)
+        self.covariance[:, :2, :2] += (turn * noise[:2].T[:, None]) @ turn.transpose(0, 2, 1)
+        self.covariance[:, 2, 2] += noise[2]
 
     def _correct(self, twist: Floats, tracked: Floats, noise: Floats) -> float:
-        phi, late, mount = self.mean[2], self.mean[-1], self.mean[3:][MOUNT]
-        v, omega = twist
-        ahead, left = v * late + mount[0], mount[1]
-        expected = compose(self.mean[:3], np.array([ahead, left, omega * late]))
-        h = np.zeros((3, len(self.mean)))
-        h[:, :3] = np.eye(3)
+        phi, late, mount = self.mean[:, 2], self.mean[:, -1], self.mean[:, 3:][:, MOUNT]
+        ahead = np.column_stack([twist[0] * late + mount[:, 0], mount[:, 1], twist[1] * late])
+        off = tracked - compose(self.mean[:, :3], ahead)
+        off[:, 2] = wrap(off[:, 2])
+        by = _by_errors(phi, twist)
         cos, sin = np.cos(phi), np.sin(phi)
-        h[0, 2], h[1, 2] = -sin * ahead - cos * left, cos * ahead - sin * left
-        h[:2, 3:][:, MOUNT] = _turn(phi)
-        h[:, -1] = v * cos, v * sin, omega
-        off = tracked - expected
-        off[2] = wrap(off[2])
-        innovation = h @ self.covariance @ h.T + np.diag(noise)
-        square = float(off @ np.linalg.solve(innovation, off))
+        h = np.concatenate([np.tile(np.eye(3), (len(LEVELS), 1, 1)), by], axis=2)
+        h[:, 0, 2] = -sin * ahead[:, 0] - cos * ahead[:, 1]
+        h[:, 1, 2] = cos * ahead[:, 0] - sin * ahead[:, 1]
+        innovation = h @ self.covariance @ h.transpose(0, 2, 1) + np.diag(noise) + _of_stamps(by)
+        solved = np.linalg.solve(innovation, np.concatenate([off[:, :, None], h @ self.covariance], axis=2))
+        squares = (off * solved[:, :, 0]).sum(axis=1)
+        self.log_likelihood -= 0.5 * (np.linalg.slogdet(innovation)[1] + np.minimum(squares, OUTLIER))
+        square = float(squares[np.argmax(self.log_likelihood)])
         if square > OUTLIER:
-            self.n_odd += 1
             self.forget_pose()
             return square
-        gain = np.linalg.solve(innovation, h @ self.covariance).T
-        self.mean += gain @ off
+        gain = solved[:, :, 1:].transpose(0, 2, 1)
+        self.mean += (gain @ off[:, :, None])[:, :, 0]
         self.covariance -= gain @ h @ self.covariance
-        self.covariance = 0.5 * (self.covariance + self.covariance.T)
+        self.covariance = 0.5 * (self.covariance + self.covariance.transpose(0, 2, 1))
         self.n += 1
-        self.scale += (square / 3.0 - self.scale) / min(self.n, 100)
+        self.scale += (np.minimum(squares, OUTLIER) / 3.0 - self.scale) / min(self.n, 100)
         return square
 
 
-def _turn(phi: float) -> Floats:
+def _by_errors(phi: Floats, twist: Floats) -> Floats:
+    """Return the derivative (n_levels, 3, n_errors) of the tracked pose by the errors, at headings (n_levels,)."""
+    by = np.zeros((len(phi), 3, N_ERRORS))
+    by[:, :2, MOUNT] = _turn(phi)
+    by[:, :, -1] = np.column_stack(
+        [twist[0] * np.cos(phi), twist[0] * np.sin(phi), np.full(len(phi), twist[1])]
+    )
+    return by
+
+
+def _of_stamps(by: Floats) -> Floats:
+    """Return the covariance (n_levels, 3, 3) of a tracked pose from the error of its stamp."""
+    return np.asarray(STAMP_NOISE**2 * by[:, :, -1:] * by[:, None, :, -1])
+
+
+def _turn(phi: Floats) -> Floats:
+    """Return the rotations (n_levels, 2, 2) by angles (n_levels,)."""
     cos, sin = np.cos(phi), np.sin(phi)
-    return np.array([[cos, -sin], [sin, cos]])
+    return np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)

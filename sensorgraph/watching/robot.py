@@ -58,8 +58,8 @@ class RobotHealth:
         self._steps: deque[tuple[Floats, Floats]] = deque(maxlen=STEPS)
         self._last: tuple[float, Floats, Floats] | None = None
         self._since: dict[str, float] = {}
-        self._waiting: tuple[Floats, Floats, Floats, float] | None = None
-        """Step, its twist, pose and weight of the last scan: the twist at its time lies between two steps."""
+        self._waiting: tuple[Floats, float, Floats, float] | None = None
+        """Step, its time [s], pose and weight of the last scan: the twist at its time lies between two steps."""
 
     @property
     def usable(self) -> Bools:
@@ -86,7 +86,7 @@ class RobotHealth:
         if odometry is not None and self._last is not None and 0.0 < dt < 2.0:
             step = compose(invert(self._last[1]), odometry)
             is_moving = float(np.hypot(step[0], step[1]) + abs(step[2])) > 0.01
-            self._add_motion(step, np.array([step[0], step[2]]) / dt, pose, now.weight)
+            self._add_motion(step, dt, pose, now.weight)
             if np.hypot(step[0], step[1]) > MOVING or np.hypot(*(pose - self._last[2])[:2]) > MOVING:
                 self._steps.append((step, compose(invert(self._last[2]), pose)))
         if odometry is not None:
@@ -95,13 +95,17 @@ class RobotHealth:
             for pair in (self.motion, self.ranges, self.missing):
                 pair.advance(dt)
 
-    def _add_motion(self, step: Floats, twist: Floats, pose: Floats, weight: float) -> None:
-        """Take a step (3,), its mean twist (2,) and the pose (3,) at its end; it counts when the next step is known."""
+    def _add_motion(self, step: Floats, dt: float, pose: Floats, weight: float) -> None:
+        """Take a step (3,) in a time [s] and the pose (3,) at its end; it counts when the next step is known.
+
+        The twist at the pose is the mean one over both steps: stamps of one scan each may be too close or too far apart.
+        """
         if self._waiting is not None:
-            before, twist_before, pose_before, weight_before = self._waiting
+            before, dt_before, pose_before, weight_before = self._waiting
+            twist = (before + step)[[0, 2]] / (dt_before + dt)
             for motion in self.motion.both:
-                motion.add(before, 0.5 * (twist_before + twist), pose_before, weight_before)
-        self._waiting = step, twist, pose, weight
+                motion.add(before, twist, pose_before, weight_before)
+        self._waiting = step, dt, pose, weight
 
     def _add_coverage(
         self, ranges: Floats, mode: Floats, p_none: Floats, answered: Bools, weight: float, dt: float

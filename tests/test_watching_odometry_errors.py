@@ -1,0 +1,68 @@
+"""The filter of wheels, mount and clock on drives that the tests make: its standard errors, whatever the noise of a robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import further
+from watching_samples import graph
+
+from logs.transforms import compose, invert
+from sensorgraph.types import Floats
+from sensorgraph.watching.odometry_errors import OdometryErrors
+from sensorgraph.watching.readings import GraphReadings
+from sensorgraph.watching.robot import RobotHealth
+from sensorgraph.watching.settings import DISTANCE_FAULTS
+
+WHEEL, LATENCY = 0, len(DISTANCE_FAULTS) - 1
+
+
+def estimates_of_a_minute(seed: int, *, noise: float, jitter: float = 0.03) -> tuple[Floats, Floats]:
+    """Drive for a minute, with `noise` times 15 mm and 8 mrad after one metre, and stamps with an error [s]."""
+    rng = np.random.default_rng(seed)
+    found, pose, twist = OdometryErrors(), np.zeros(3), np.zeros(2)
+    for k in range(300):
+        if k % 15 == 0:
+            twist = np.array([rng.uniform(0.2, 0.7), rng.uniform(-0.8, 0.8)])
+        step = 0.2 * np.array([twist[0], 0.0, twist[1]])
+        deviations = np.array([0.015, 0.008, 0.008]) * noise * np.sqrt(step[0])
+        pose = compose(pose, step + deviations * rng.normal(size=3))
+        early = jitter * rng.normal() * np.array([twist[0], 0.0, twist[1]])
+        tracked = compose(pose, early) + np.array([0.005, 0.005, 0.008]) * rng.normal(size=3)
+        found.add(step, twist, tracked)
+    return found.estimates()
+
+
+@pytest.mark.parametrize("noise", [0.3, *further(1.0), 3.0])
+def test_the_standard_error_of_the_wheels_is_that_of_the_robot_at_hand(noise: float) -> None:
+    drives = [estimates_of_a_minute(seed, noise=noise) for seed in range(12)]
+    values, errors = (np.array(column)[:, WHEEL] for column in zip(*drives, strict=True))
+    ratio = np.mean((values / errors) ** 2)
+    assert 0.2 < ratio < 2.2  # chi² of 12 drives over 12, at 0.1 % and 99 %
+    length = 60 * 0.45
+    assert np.median(errors) < 2.0 * max(0.015 * noise / np.sqrt(length), 0.0005) + 0.0015
+
+
+def test_an_error_of_each_stamp_hides_no_error_of_the_wheels() -> None:
+    """It scatters the poses along the motion by centimetres, but does not add up over the way."""
+    exact, scattered = (
+        estimates_of_a_minute(1, noise=0.3, jitter=jitter)[1][WHEEL] for jitter in (0.0, 0.03)
+    )
+    assert scattered < 2.0 * exact
+    assert scattered < 0.003
+
+
+def test_a_late_scan_is_found_where_a_log_stamps_its_messages_in_pairs() -> None:
+    """From one message to the next, such a robot seems to drive at hundreds of times its speed or to stand."""
+    health = RobotHealth(GraphReadings(graph(), graph().sensor))
+    rng, pose, odometry, last = np.random.default_rng(5), np.zeros(3), np.zeros(3), np.zeros(3)
+    for k in range(300):
+        twist = np.array([0.4 + 0.2 * np.sin(0.1 * k), 0.0, 0.6 * np.sin(0.07 * k)])
+        pose = compose(pose, 0.2 * twist)
+        odometry = compose(odometry, 0.2 * twist)
+        tracked = compose(pose, 0.1 * twist) + np.array([0.005, 0.005, 0.008]) * rng.normal(size=3)
+        health._add_motion(compose(invert(last), odometry), 0.001 if k % 2 else 0.399, tracked, 1.0)
+        last = odometry
+    values, errors = health.motion.older.estimates()
+    assert values[LATENCY] == pytest.approx(0.1, abs=0.02)
+    assert abs(values[LATENCY] - 0.1) < 4 * errors[LATENCY]
