@@ -263,6 +263,7 @@ def test_a_robot_that_is_never_where_the_graph_knows_the_place_is_a_warning() ->
     seen_once.n_statements, seen_once.n_outside = 3, 2
     seen_once.conclude()
     assert seen_once.level == "ok"
+    assert seen_once.reason.startswith("the pose was not judged in 2 of 3 statements")
 
 
 @pytest.mark.parametrize("late", [-0.2, 0.2])

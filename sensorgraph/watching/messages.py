@@ -41,7 +41,7 @@ def statements_of(status: WatchStatus, policy: WatchPolicy) -> list[DiagnosticSt
     values = (
         {
             "status": pose.status, "p": f"{pose.p:.4f}", "p_wrong": f"{pose.p_wrong:.4f}", "since": f"{pose.since:.1f}",
-            "offset_m": f"{pose.offset[0]:.3f}", "offset_rad": f"{pose.offset[1]:.4f}",
+            "offset_m": f"{pose.offset[0]:.3f}", "offset_rad": f"{pose.offset[1]:.4f}", "known_place": str(pose.is_known_place).lower(),
         },
         {
             "share_predicted": "" if share is None else f"{share:.4f}",

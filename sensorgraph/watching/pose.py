@@ -4,7 +4,8 @@
     P(off)  = sum of P(mode) P(its pose is outside the tolerance)
     P(lost) = P(elsewhere), which may resemble a mode
 
-Without a belief, the most probable mode is judged alone.
+Without a belief, the most probable mode is judged alone. Where the graph does not know the surroundings, nothing is news, except a
+belief that jumps against the odometry: before or after the jump, it is off.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from scipy.special import expit, ndtr
 
 from logs.transforms import compose, wrap
 from sensorgraph.types import Floats
-from sensorgraph.watching.modes import Mode
-from sensorgraph.watching.observation import Observation
-from sensorgraph.watching.scan_input import apart
+from sensorgraph.watching.modes import REGION, Mode
+from sensorgraph.watching.observation import MAX_AGE, Observation
+from sensorgraph.watching.scan_input import apart, odometry_step
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 from sensorgraph.watching.tracker import PoseTracker
 
@@ -62,7 +63,13 @@ class PoseStatement:
         )
         if not self.is_known_place and self.status != "lost":
             metres = float(np.hypot(*self.deviations[:2]))
-            return f"outside what the graph knows: by odometry at {at}, ± {metres:.2f} m"
+            own = f"outside what the graph knows: by odometry at {at}, ± {metres:.2f} m"
+            judged = {"ok": "is not judged", "ambiguous": "is ambiguous"}.get(self.status, "is off")
+            return (
+                f"{own}; the believed pose, {self.offset[0]:.2f} m from there, {judged}"
+                if self.is_believed
+                else own
+            )
         if self.status == "lost":
             return (
                 "lost: the scans fit neither the tracked pose nor another place"
@@ -106,12 +113,28 @@ class PoseJudge:
         self.odds = -priors.right
         """[nats] Log-odds that the believed pose is off."""
         self.before: PoseWord = "ok"
+        self.has_jumped = False
+        """Whether the belief has jumped since the graph last knew the surroundings: before the jump or after it, it is off."""
+        self._last: Observation | None = None
 
     def state(self, observation: Observation) -> PoseStatement:
         """Return the statement at a scan."""
+        self.has_jumped |= self._jumps(observation)
         found = state_pose(self.tracker, observation, self)
-        self.before = found.status
+        self.before, self._last = found.status, observation
         return found
+
+    def _jumps(self, now: Observation) -> bool:
+        """Tell whether belief and odometry contradict each other since the last statement, by more than the tolerance."""
+        last, s = self._last, self.priors
+        if last is None or last.believed is None or now.believed is None:
+            return False
+        if last.odometry is None or now.odometry is None or now.stamp - last.stamp > MAX_AGE:
+            return False
+        _, step, deviations, is_reset = odometry_step(last, now, np.zeros(3), s)
+        way, turn = apart(compose(last.believed, step), now.believed)
+        wide = REGION * deviations
+        return not is_reset and (way > s.tolerance[0] + wide[0] or turn > s.tolerance[1] + wide[2])
 
     def p_off(self, p_near: float, known: float = 1.0, offset: tuple[float, float] = (0.0, 0.0)) -> float:
         """Return the probability that the belief is off, after a statement that it is near with a probability.
@@ -169,10 +192,14 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         status, p = "ambiguous", 1.0 - best
     elif believed is not None and p_off > 0.5:
         status, p = "off", p_off
-    if not (is_known and main.is_matched):  # nothing that the graph knows is in sight: no news
+    if is_known and main.is_matched:
+        judge.has_jumped = False
+    else:  # nothing that the graph knows is in sight: no news
         if before == "lost" and np.sqrt(main.covariance[:2, :2].trace()) > priors.tolerance[0]:
             status, p = "lost", max(p_lost, 1.0 - p_ok)
-        elif before == "ok" and status in ("off", "ambiguous"):
+        elif judge.has_jumped and status == "ok":
+            status, p, p_off = "ambiguous", 0.5, max(p_off, 0.5 * (1.0 - p_lost))
+        elif before == "ok" and not judge.has_jumped and status in ("off", "ambiguous"):
             status, p = "ok", p_ok
     return PoseStatement(
         status=status, p=min(p, 1.0), pose=main.pose, deviations=np.sqrt(np.diag(main.covariance)), offset=offset,

@@ -119,8 +119,11 @@ class WatchSummary:
             self.level, self.reason = level, reason
 
     def conclude(self) -> None:
-        """Warn if the graph knew the surroundings at no time, so that nothing was judged."""
-        if self.level == "ok" and self.n_outside == self.n_statements:
+        """Warn if the graph knew the surroundings at no time, so that nothing was judged; otherwise, state how often not."""
+        if self.level != "ok" or self.n_outside == 0:
+            return
+        self.reason = f"the pose was not judged in {self.n_outside:,} of {self.n_statements:,} statements, outside what the graph knows"
+        if self.n_outside == self.n_statements:
             self.level = "warning"
             self.reason = (
                 "the robot was never where the graph knows the surroundings: it is another place, or the poses are in another "
