@@ -76,6 +76,13 @@ class Watched:
                 believed=self.believed[k],
             )
 
+    def at(self, scans: Ints) -> Watched:
+        """Return some of the scans, whose belief is right."""
+        return Watched(
+            stamps=self.stamps[scans], ranges=self.ranges[scans], odometry=self.odometry[scans],
+            believed=self.believed[scans], changed=len(scans),
+        )  # fmt: skip
+
 
 def stretch(data: Halves, odometry: Floats, first: int, last: int) -> Watched:
     """Return a clean stretch of the second half."""

@@ -5,7 +5,8 @@
 
 The graph is of the first half, as in `benchmarks.watch`. Parts:
 
-- `robot`: one fault of the size of the issue in each stretch, with a policy from one half of the covered stretches
+- `robot`: one fault of the size of the issue in each stretch, with a policy from the run of the graph. A stretch ends when the
+  robot has driven for the time of the issue where the graph knows the surroundings; it may stand, and drive elsewhere, meanwhile
 - `place`: `--n` round things of 30 cm that stand all the time where the robot passes at least three times; each is found if
   it is reported while the third pass lasts. The same log without them gives the changes that are reported anyway: people who
   stand, doors, and whatever else differs between the halves
@@ -19,12 +20,13 @@ from dataclasses import replace
 
 import numpy as np
 
+import logs
 from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
-from benchmarks.watch import Watched, clean_scans, stretch
+from benchmarks.watch import Watched, clean_scans
 from logs.transforms import compose, invert
-from planners.types import Floats
+from planners.types import Bools, Floats
 from sensorgraph.watching.place import PlaceChange
 from sensorgraph.watching.policy import learn
 from sensorgraph.watching.watcher import watch_scans
@@ -41,6 +43,8 @@ PLANTS: Mapping[str, float] = {
     "blocked_sector": 5.0, "missing_returns": 60.0, "mount_yaw": 60.0, "range_bias": 120.0, "wheel_radius": 120.0,
 }  # fmt: skip
 """Fault -> [s] of driving within which it must be named."""
+MOVING = 0.03
+"""[m/s + rad/s] Speed from which the robot drives."""
 
 
 def planted(data: Halves, watched: Watched, name: str, rng: np.random.Generator) -> Watched:
@@ -70,40 +74,44 @@ def planted(data: Halves, watched: Watched, name: str, rng: np.random.Generator)
     return replace(watched, ranges=ranges, odometry=odometry)
 
 
+def driving_clock(watched: Watched, is_known: Bools) -> Floats:
+    """Return the time [s] that the robot has driven at each scan (n_scans,), where the graph knows the surroundings."""
+    steps = compose(invert(watched.odometry[:-1]), watched.odometry[1:])
+    dt = np.diff(watched.stamps)
+    moves = np.hypot(*steps[:, :2].T) + np.abs(steps[:, 2]) > MOVING * dt
+    return np.concatenate([[0.0], np.cumsum(dt * (moves & is_known[1:]))])
+
+
 def robot_part(data: Halves, n: int, rng: np.random.Generator) -> None:
-    """Print how often planted faults are named, with a policy from one half of the covered stretches."""
-    odometry, stamps = driven(data.second), data.second.stamps
-    known = np.flatnonzero(np.isfinite(data.truth[:, 0]))
-    middle = known[len(known) // 2]
-    good = stretch(data, odometry, known[0], middle)
-    sensor = data.second.sensor
-    policy = learn([list(watch_scans(data.graph, good.observations(), sensor))])
+    """Print how often planted faults are named, with a policy from the run of the graph."""
+    poses, sensor = logs.pair(data.first).poses, data.second.sensor
+    of_graph = Watched(
+        stamps=data.first.stamps, ranges=data.first.ranges, odometry=driven(data.first), believed=poses, changed=len(poses)
+    ).at(np.flatnonzero(np.isfinite(poses[:, 0])))  # fmt: skip
+    policy = learn([list(watch_scans(data.graph, of_graph.observations(), sensor))])
     print(
         "baseline: " + ", ".join(f"{k} {v.value:.4f} ± {v.tolerance:.4f}" for k, v in policy.baseline.items())
     )
-    share = np.convolve(data.covered, np.ones(25) / 25, "same")
-    starts = np.flatnonzero((share > 0.9) & (stamps > stamps[middle]) & (stamps < stamps[-1] - 130))
-    if len(starts) == 0:
-        print("no stretch to plant in")
-        return
+    scans = np.flatnonzero(np.isfinite(data.truth[:, 0]))
+    whole, is_known = clean_scans(data, driven(data.second), scans), data.covered[scans]
+    clock = driving_clock(whole, is_known)
+    print(f"{clock[-1]:.0f} s of driving where the graph knows the surroundings")
     for name, limit in ({"healthy": 120.0} | dict(PLANTS)).items():
-        right = wrong = total = 0
+        starts = np.flatnonzero(is_known & (clock + limit < clock[-1]))
+        named: list[float] = []
         others: Counter[str] = Counter()
-        for _ in range(n):
-            at = int(rng.choice(starts))
-            last = int(np.searchsorted(stamps, stamps[at] + max(limit, 20.0) * 1.5))
-            watched = stretch(data, odometry, at, last)
-            if np.isnan(watched.believed).any():
-                continue
-            seen = planted(data, watched, name, rng).observations()
-            said = list(watch_scans(data.graph, seen, sensor, baseline=policy.baseline))
-            soon = [status for status in said if status.t - said[0].t <= 1.5 * limit]
-            found = {fault.name for status in soon for fault in status.faults}
-            total += 1
-            right += name in found
-            wrong += bool(found - {name})
-            others.update(found - {name})
-        print(f"{name}: named in {right} of {total}, another fault in {wrong} {dict(others)}")
+        for at in rng.choice(starts, n) if len(starts) else []:
+            last = int(np.searchsorted(clock, clock[at] + limit))
+            watched = planted(data, whole.at(np.arange(at, last)), name, rng)
+            said = list(watch_scans(data.graph, watched.observations(), sensor, baseline=policy.baseline))
+            when = next((s.t for s in said if any(fault.name == name for fault in s.faults)), None)
+            if when is not None:
+                named.append(float(np.interp(when, whole.stamps, clock)) - clock[at])
+            others.update({fault.name for status in said for fault in status.faults} - {name})
+        after = f" after {np.median(named):.0f} s in the median" if named else ""
+        print(
+            f"{name}: named in {len(named)} of {n if len(starts) else 0}{after}, other faults {dict(others)}"
+        )
 
 
 def with_things(watched: Watched, data: Halves, things: Floats) -> Watched:
