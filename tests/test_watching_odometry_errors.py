@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import further
-from watching_samples import graph
+from localization_samples import loop_poses, room_run
+from watching_samples import believing, graph
 
 from logs.transforms import compose, invert
 from sensorgraph.types import Floats
+from sensorgraph.watching.observation import observations
 from sensorgraph.watching.odometry_errors import OdometryErrors
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.robot import RobotHealth
 from sensorgraph.watching.settings import DISTANCE_FAULTS
+from sensorgraph.watching.watcher import Watcher
 
 WHEEL, LATENCY = 0, len(DISTANCE_FAULTS) - 1
 
@@ -66,3 +69,15 @@ def test_a_late_scan_is_found_where_a_log_stamps_its_messages_in_pairs() -> None
     values, errors = health.motion.older.estimates()
     assert values[LATENCY] == pytest.approx(0.1, abs=0.02)
     assert abs(values[LATENCY] - 0.1) < 4 * errors[LATENCY]
+
+
+def test_after_a_gap_without_scans_the_wheels_are_judged_anew() -> None:
+    """The way in the gap is no step of the odometry: as one that it misses, it would be an error of the wheels."""
+    poses = loop_poses(60, laps=0.5)
+    watcher = Watcher(graph())
+    for k, one in enumerate(observations(believing(room_run(poses, seed=21), poses))):
+        if 30 <= k < 41:
+            continue
+        watcher.add(one)
+        if k in (29, 41, 45):
+            assert watcher.robot.motion.older.has_pose == (k != 41)

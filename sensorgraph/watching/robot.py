@@ -35,6 +35,8 @@ STEPS = 40
 """Number of recent steps that are searched for slip and dead encoders."""
 MOVING = 0.03
 """[m] Shortest step that shows these."""
+LONGEST_STEP = 2.0
+"""[s] A robot whose scans are further apart drives unseen meanwhile."""
 SLIPPING = 0.1
 """Least share of the way that wheels lose by slip; odometry that errs otherwise is not that of wheels that slip."""
 
@@ -83,7 +85,11 @@ class RobotHealth:
             ranges, prediction.mode[0], prediction.p_no_return[0], prediction.answered[0], now.weight, dt
         )
         is_moving = False
-        if odometry is not None and self._last is not None and 0.0 < dt < 2.0:
+        if (
+            self._last is not None and not 0.0 < dt < LONGEST_STEP
+        ):  # the way meanwhile is no step: begin again
+            self.lose()
+        if odometry is not None and self._last is not None:
             step = compose(invert(self._last[1]), odometry)
             is_moving = float(np.hypot(step[0], step[1]) + abs(step[2])) > 0.01
             self._add_motion(step, dt, pose, now.weight)
