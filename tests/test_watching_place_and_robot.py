@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -199,6 +200,8 @@ def test_a_standard_error_from_few_measurements_is_weaker_evidence() -> None:
     nats = [doubt_of(fault, 0.05, 0.01, -8.0, freedom=freedom).nats for freedom in (3.0, 10.0, 100.0, 1e7)]
     assert nats == sorted(nats) and nats[0] < 0.5 * nats[-1]
     assert nats[-1] == pytest.approx(doubt_of(fault, 0.05, 0.01, -8.0).nats, rel=1e-4)
+    unknown = doubt_of(fault, 0.0, math.inf, -8.0)
+    assert unknown.nats == 0.0 and unknown.p == pytest.approx(math.exp(-8.0), rel=1e-3)
 
 
 def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:

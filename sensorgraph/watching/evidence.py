@@ -99,8 +99,10 @@ def doubt_of(
     healthy = stderr**2 + base.tolerance**2
     faulty = healthy + fault.size**2
     square = (estimate - base.value) ** 2
-    nats = _misfit(square / healthy, freedom) - _misfit(square / faulty, freedom)
-    nats -= 0.5 * math.log(faulty / healthy)
+    nats = 0.0
+    if math.isfinite(stderr):  # without data, nothing is known
+        nats = _misfit(square / healthy, freedom) - _misfit(square / faulty, freedom)
+        nats -= 0.5 * math.log(faulty / healthy)
     return FaultDoubt(
         name=fault.name, p=float(expit(nats + log_odds)), nats=nats,
         parameters={fault.parameter: estimate - base.value}, stderr={fault.parameter: math.sqrt(healthy)},
