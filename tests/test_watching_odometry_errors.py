@@ -81,3 +81,17 @@ def test_after_a_gap_without_scans_the_wheels_are_judged_anew() -> None:
         watcher.add(one)
         if k in (29, 41, 45):
             assert watcher.robot.motion.older.has_pose == (k != 41)
+
+
+@pytest.mark.parametrize(("slips", "names"), [(False, []), (True, ["wheel_slip"])])
+def test_scans_with_wrong_stamps_are_no_fault_of_the_odometry_and_slip_is_one(
+    slips: bool, names: list[str]
+) -> None:
+    """Each fifth scan is older than its stamp: one step is too short, and the next one too long."""
+    health = RobotHealth(GraphReadings(graph(), graph().sensor))
+    way = np.full(40, 0.03 if slips else 0.1)
+    way[10::5] -= 0.08
+    way[11::5] += 0.08
+    for x in way:
+        health._steps.append((np.array([0.1, 0.0, 0.01]), np.array([x, 0.0, 0.01])))
+    assert [doubt.name for doubt in health._of_steps() if doubt.p > 0.5] == names

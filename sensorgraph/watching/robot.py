@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
@@ -197,7 +198,8 @@ class RobotHealth:
     def _of_steps(self) -> list[FaultDoubt]:
         """Return doubts about an encoder and about slip, from steps that odometry and tracking state differently.
 
-        The odometry of a robot with one dead encoder turns in proportion to its distance, whatever the robot does.
+        The odometry of a robot with one dead encoder turns in proportion to its distance, whatever the robot does. A scan with
+        a wrong stamp makes two steps odd, in opposite directions; the median over three steps leaves it out.
         """
         if len(self._steps) < 10:
             return []
@@ -205,6 +207,7 @@ class RobotHealth:
         true = np.array([step for _, step in self._steps])
         off = true - driven
         off[:, 2] = wrap(off[:, 2])
+        off = median_filter(off, (3, 1), mode="nearest")
         odd = (np.hypot(off[:, 0], off[:, 1]) > 0.5 * np.maximum(np.hypot(*driven[:, :2].T), MOVING)) | (
             np.abs(off[:, 2]) > 0.15
         )
