@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import further
-from localization_samples import CORRIDOR, loop_poses, room_run
+from localization_samples import CORRIDOR, any_times, loop_poses, room_run
 
 import logs
 from logs.run import Run
@@ -59,8 +60,9 @@ def test_scans_alone_do_not_tell_the_way_along_a_corridor_and_it_is_said(
     assert any("do not determine the position along" in note for note in found.notes)
 
 
-def test_odometry_tells_the_way_along_a_corridor() -> None:
-    found = locate(room_run(ALONG, walls=CORRIDOR, way_scale=1.02))
+@any_times
+def test_odometry_tells_the_way_along_a_corridor(times: Callable[[Run], Run]) -> None:
+    found = locate(times(room_run(ALONG, walls=CORRIDOR, way_scale=1.02)))
     sd, off = deviations(found), errors(found, ALONG)
     assert set(found.status) == {"ok"}
     assert 0.05 < sd[-1, 0] < 1.0 and abs(off[-1, 0]) < 2 * np.hypot(sd[-1, 0], sd[0, 0])
@@ -131,9 +133,10 @@ def disturbed(run: Run, kind: str) -> tuple[Run, np.ndarray]:
     return run, chosen
 
 
+@any_times
 @pytest.mark.parametrize("kind", ["blind", *further("gap")])
-def test_odometry_carries_the_pose_over_a_break(kind: str) -> None:
-    run, chosen = disturbed(room_run(TRUTH[:180], way_scale=0.98), kind)
+def test_odometry_carries_the_pose_over_a_break(kind: str, times: Callable[[Run], Run]) -> None:
+    run, chosen = disturbed(times(room_run(TRUTH[:180], way_scale=0.98)), kind)
     found = locate(run)
     assert set(found.status) == {"ok"} and set(found.map_numbers.tolist()) == {1}
     off, sd = errors(found, TRUTH[chosen]), deviations(found)
@@ -165,7 +168,8 @@ def test_scans_alone_join_after_a_break_or_are_a_second_map(kind: str) -> None:
     assert ok.sum() > 90 and any("interrupted" in note for note in found.notes)
 
 
-def test_what_nothing_connects_is_a_second_map(tmp_path: Path) -> None:
+@any_times
+def test_what_nothing_connects_is_a_second_map(times: Callable[[Run], Run]) -> None:
     """Without odometry, through a dark stretch into another room: two maps, each consistent."""
     other = [(2 * b, a, 2 * d, c) for a, b, c, d in CORRIDOR] + [
         (-9, 5, 9, 4),
@@ -176,7 +180,7 @@ def test_what_nothing_connects_is_a_second_map(tmp_path: Path) -> None:
     one, two = room_run(TRUTH[:60]), room_run(loop_poses(40) - [3.2, 2.6, 0.0], walls=other[2:], seed=1)
     stamps = np.concatenate([one.stamps, two.stamps + one.stamps[-1] + 30.0])
     both = replace(one, stamps=stamps, ranges=np.concatenate([one.ranges, two.ranges]))
-    found = locate(without_odometry(both))
+    found = locate(times(without_odometry(both)))
     assert set(found.map_numbers.tolist()) == {1, 2}
     assert set(found.status[:60]) == {"ok"} and set(found.status[60:]) == {"lost"}
     assert [one["n_scans"] for one in maps(found)] == [60, 40]
@@ -222,7 +226,10 @@ def test_new_surfaces_in_a_narrow_view_are_not_taken_for_known_ones(
     assert np.abs(off[:, :2]).max() < 0.05 and np.abs(off[:, 2]).max() < 0.02
 
 
-def test_after_a_gap_in_a_corridor_a_similar_place_that_the_odometry_excludes_is_not_taken() -> None:
+@any_times
+def test_after_a_gap_in_a_corridor_a_similar_place_that_the_odometry_excludes_is_not_taken(
+    times: Callable[[Run], Run],
+) -> None:
     """The robot drives 8 m without scans, beyond what it saw before. The place where it was before looks alike."""
 
     def wall(y: float, depth: float, niches: tuple[float, ...]) -> list[tuple[float, float, float, float]]:
@@ -237,7 +244,7 @@ def test_after_a_gap_in_a_corridor_a_similar_place_that_the_odometry_excludes_is
     run = room_run(poses, walls=walls, rate=4.0, seed=4)
     seen = (x < 17) | (x > 25)
     run = replace(run, ranges=np.where(run.ranges > 12, np.inf, run.ranges)).take_scans(seen)
-    found = locate(run)
+    found = locate(times(run))
     off = errors(found, poses[seen])
     ok = np.array(found.status) == "ok"
     assert ok.sum() > 30

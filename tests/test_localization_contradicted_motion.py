@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from localization_samples import looking_about, room_run, seen
+from localization_samples import any_times, looking_about, room_run, seen
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
@@ -34,13 +35,16 @@ def swept(odometry: Floats) -> Run:
     )  # fmt: skip
 
 
-def test_a_sweep_is_located_where_the_odometry_stands_and_the_robot_turns() -> None:
+@any_times
+def test_a_sweep_is_located_where_the_odometry_stands_and_the_robot_turns(
+    times: Callable[[Run], Run],
+) -> None:
     driven = looking_about(FINE)
     first, last = np.searchsorted(FINE, HANGS)
     rest = compose(np.broadcast_to(invert(driven[last]), driven[last:].shape), driven[last:])
     driven[last:] = compose(np.broadcast_to(driven[first], rest.shape), rest)  # it goes on where it hung
     driven[first:last] = driven[first]
-    found = locate(swept(driven))
+    found = locate(times(swept(driven)))
     away = compose(invert(compose(TRUTH[0], invert(found.poses[0]))), TRUTH)
     assert np.hypot(*(away - found.poses)[:, :2].T).max() < 0.03
     assert (
@@ -49,6 +53,7 @@ def test_a_sweep_is_located_where_the_odometry_stands_and_the_robot_turns() -> N
     assert any("contradict each other from" in note for note in found.notes)
 
 
-def test_a_run_that_agrees_with_its_odometry_is_unchanged() -> None:
-    followed = track_run(swept(looking_about(FINE)), lambda done, total: None)
+@any_times
+def test_a_run_that_agrees_with_its_odometry_is_unchanged(times: Callable[[Run], Run]) -> None:
+    followed = track_run(times(swept(looking_about(FINE))), lambda done, total: None)
     assert with_motion_of_scans(followed, lambda done, total: None) is followed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from logs.run import Run
 from logs.transforms import wrap
 from sensorgraph.localization.half_angle import heading_factor, with_heading
 from sensorgraph.localization.locate import locate
-from tests.localization_samples import Floats, loop_poses, room_run
+from tests.localization_samples import Floats, any_times, loop_poses, room_run
 
 
 def winding(sign: float = 1.0) -> Floats:
@@ -56,9 +57,10 @@ def with_stated_heading(run: Run, factor: float) -> Run:
     return replace(run, odometry=run.odometry * [1.0, 1.0, factor])
 
 
+@any_times
 @pytest.mark.parametrize("factor", [2.0, 0.5])
-def test_locate_corrects_the_heading_and_says_so(factor: float) -> None:
-    found = locate(with_stated_heading(room_run(loop_poses(120, laps=1.5)), factor))
+def test_locate_corrects_the_heading_and_says_so(factor: float, times: Callable[[Run], Run]) -> None:
+    found = locate(times(with_stated_heading(room_run(loop_poses(120, laps=1.5)), factor)))
     assert any("instead of half of it; corrected" in note for note in found.notes)
     assert found.wheels is not None
     assert found.wheels.turn_scale == pytest.approx(1.0, abs=0.05)

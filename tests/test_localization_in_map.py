@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapely
 from conftest import further
-from localization_samples import ROOM, loop_poses, room_run
+from localization_samples import ROOM, any_times, loop_poses, room_run
 
 from logs.run import Run
 from logs.transforms import compose
@@ -65,10 +65,13 @@ def after(run: Run, other: Run) -> Run:
     )
 
 
-def test_robot_carried_elsewhere_is_lost_at_once_or_found_again_and_never_wrong() -> None:
+@any_times
+def test_robot_carried_elsewhere_is_lost_at_once_or_found_again_and_never_wrong(
+    times: Callable[[Run], Run],
+) -> None:
     elsewhere = np.column_stack([np.linspace(5.2, 7.2, 40), np.full(40, 1.1), np.full(40, 0.1)])
     truth = np.concatenate([TRUTH[:60], elsewhere])
-    found = locate_in_map(after(room_run(TRUTH[:60]), room_run(elsewhere, seed=1)), WALLS)
+    found = locate_in_map(times(after(room_run(TRUTH[:60]), room_run(elsewhere, seed=1))), WALLS)
     ok = np.array(found.status) == "ok"
     off = errors(found.poses, truth)
     assert np.hypot(off[ok, 0], off[ok, 1]).max() < 0.03
@@ -107,14 +110,15 @@ def test_place_that_looks_the_same_twice_is_ambiguous_and_names_the_rival() -> N
     assert np.hypot(*(rivals[:, :2] - still[0, :2]).T).min() < 0.02
 
 
-def test_people_and_a_moved_table_do_not_pull() -> None:
+@any_times
+def test_people_and_a_moved_table_do_not_pull(times: Callable[[Run], Run]) -> None:
     run = room_run(TRUTH[::2])
     rng = np.random.default_rng(3)
     ranges = run.ranges.copy()
     for k in range(run.n_scans):  # legs, and something wide that stands elsewhere in each scan
         near = np.roll(np.arange(120), int(rng.integers(120)))[:30]
         ranges[k, near] = np.minimum(ranges[k, near], rng.uniform(0.6, 1.2))
-    found = locate_in_map(replace(run, ranges=ranges), WALLS)
+    found = locate_in_map(times(replace(run, ranges=ranges)), WALLS)
     off = errors(found.poses, TRUTH[::2])
     assert set(found.status) == {"ok"}
     off_place = np.hypot(off[:, 0], off[:, 1])
@@ -144,12 +148,13 @@ def test_mirrored_laser_is_named() -> None:
         locate_in_map(replace(run, ranges=np.roll(run.ranges[:, ::-1], 1, axis=1)), WALLS)
 
 
-def test_run_without_odometry_is_located_by_its_scans() -> None:
+@any_times
+def test_run_without_odometry_is_located_by_its_scans(times: Callable[[Run], Run]) -> None:
     truth = TRUTH[:60]
     run = replace(
         room_run(truth), odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2))
     )
-    found = locate_in_map(run, WALLS)
+    found = locate_in_map(times(run), WALLS)
     off = errors(found.poses, truth)
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.02
     assert found.wheels is None and "no usable odometry" in found.notes[0]
@@ -274,20 +279,22 @@ def test_place_whose_rays_are_likelier_but_fit_worse_does_not_rule_out_another()
     assert len(alike.rivals) == 1 and len(worse.rivals) == 0
 
 
-def test_covariance_grows_where_the_map_is_wrong_and_not_elsewhere() -> None:
+@any_times
+def test_covariance_grows_where_the_map_is_wrong_and_not_elsewhere(times: Callable[[Run], Run]) -> None:
     bent = WALLS.copy()
     bent[(WALLS[:, :, 0] >= 5.0).all(axis=1)] += [0.0, 0.03]  # the right end of the room
     rough = np.concatenate([WALLS, bent[(WALLS[:, :, 0] >= 5.0).all(axis=1)]])
     right = np.column_stack([np.linspace(5.6, 7.0, 20), np.full(20, 1.4), np.zeros(20)])
     poses = np.concatenate([TRUTH[:60], right])
-    found = locate_in_map(after(room_run(TRUTH[:60]), room_run(right, seed=1)), rough)
+    found = locate_in_map(times(after(room_run(TRUTH[:60]), room_run(right, seed=1))), rough)
     sd = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))[:, :2].mean(axis=1)
     assert len(sd) == len(poses)
     assert np.median(sd[62:]) > 1.3 * np.median(sd[:60])
 
 
-def test_covariance_of_a_laser_with_coarse_steps_is_that_of_its_errors() -> None:
-    run = room_run(TRUTH[::3])
+@any_times
+def test_covariance_of_a_laser_with_coarse_steps_is_that_of_its_errors(times: Callable[[Run], Run]) -> None:
+    run = times(room_run(TRUTH[::3]))
     coarse = replace(run, ranges=0.05 * np.rint(run.ranges / 0.05))  # no field of the run says so
     off, sd = [], []
     for one in (run, coarse):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import further
-from localization_samples import ROOM, loop_poses, room_run
+from localization_samples import ROOM, any_times, loop_poses, room_run
 
 from logs.run import Run
 from logs.transforms import compose, invert
@@ -91,19 +92,21 @@ def test_reference_poses_are_not_looked_at() -> None:
     np.testing.assert_array_equal(other.poses, map_run(run).poses)
 
 
-def test_without_odometry_scans_alone_do_and_it_is_said() -> None:
+@any_times
+def test_without_odometry_scans_alone_do_and_it_is_said(times: Callable[[Run], Run]) -> None:
     run = room_run(TRUTH[:90])
     none = Run(sensor=run.sensor, stamps=run.stamps, ranges=run.ranges)
-    found = map_run(none)
+    found = map_run(times(none))
     assert rms(found, TRUTH[:90]) < 0.01
     assert any("scan matching alone" in note for note in found.notes)
 
 
-def test_odometry_that_jumps_is_survived_and_said() -> None:
+@any_times
+def test_odometry_that_jumps_is_survived_and_said(times: Callable[[Run], Run]) -> None:
     run = room_run(TRUTH[:80])
     odometry = run.odometry.copy()
     odometry[40:, :2] += [3.0, -2.0]
-    found = map_run(replace(run, odometry=odometry))
+    found = map_run(times(replace(run, odometry=odometry)))
     assert rms(found, TRUTH[:80]) < 0.01
     assert any("jumps 1 times, first at 8.0 s" in note for note in found.notes)
 
@@ -126,7 +129,9 @@ def test_scan_of_few_returns_lies_where_the_scans_beside_it_have_it() -> None:
     assert np.abs(off[few, 2]).max() < np.radians(0.2)
 
 
+@any_times
 def test_scan_that_tracking_misses_while_the_wheels_slip_is_matched_from_the_scans_around_it(
+    times: Callable[[Run], Run],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     poses, matched = loop_poses(60), Tracker._match
@@ -138,7 +143,7 @@ def test_scan_that_tracking_misses_while_the_wheels_slip_is_matched_from_the_sca
     monkeypatch.setattr(
         Tracker, "_match", lambda self, k, *of: matched(self, k, *of) if k != missed else None
     )
-    found = map_run(slipped)
+    found = map_run(times(slipped))
     off, _ = aligned(found.poses, poses)
     assert set(found.status) == {"ok"}
     assert np.hypot(*off[missed - 2 : missed + 3, :2].T).max() < 0.01  # 0.1 m by the odometry
@@ -291,24 +296,26 @@ def test_closures_do_not_depend_on_how_many_fields_are_kept_in_memory() -> None:
     assert held[0] <= 2 < held[1]
 
 
-def test_stamps_that_repeat_are_said_and_the_order_of_the_log_holds() -> None:
+@any_times
+def test_stamps_that_repeat_are_said_and_the_order_of_the_log_holds(times: Callable[[Run], Run]) -> None:
     poses = loop_poses(40, laps=0.5)
     run = room_run(poses)
     run = replace(run, stamps=10 * run.stamps, odom_stamps=10 * run.odom_stamps)
     stamps = run.stamps.copy()
     stamps[10:12] = stamps[9]
-    found = map_run(replace(run, stamps=stamps, odom_stamps=stamps))
+    found = map_run(times(replace(run, stamps=stamps, odom_stamps=stamps)))
     assert found.notes == ("2 scans repeat the previous stamp: used in the order of the log",)
     assert rms(found, poses) < 0.01
 
 
-def test_scans_of_a_clock_that_is_too_coarse_are_spread_over_its_steps() -> None:
+@any_times
+def test_scans_of_a_clock_that_is_too_coarse_are_spread_over_its_steps(times: Callable[[Run], Run]) -> None:
     poses = loop_poses(80, laps=0.5)
     run = room_run(poses)
     run = replace(run, odom_stamps=run.stamps + 1e-3)  # odometry of its own
     step = 4 * float(np.median(np.diff(run.stamps)))
     coarse = replace(run, stamps=step * np.floor(run.stamps / step + 1e-6))
-    found = locate(coarse)
+    found = locate(times(coarse))
     assert found.notes == ("60 scans repeat the previous stamp: spread evenly up to the next stamp",)
     assert rms(found, poses) < 0.01 and set(found.status) == {"ok"}
     assert (found.t == coarse.stamps).all()
@@ -331,13 +338,16 @@ def test_covered_laser_is_lost_not_standing_and_odometry_carries_its_pose() -> N
     assert any("only the odometry determines the pose" in note for note in found.notes)
 
 
+@any_times
 @pytest.mark.parametrize("reading", [0.06, *further(np.inf)], ids=["covered", "nothing in reach"])
-def test_odometry_places_the_scans_before_the_first_that_sees_something(reading: float) -> None:
+def test_odometry_places_the_scans_before_the_first_that_sees_something(
+    reading: float, times: Callable[[Run], Run]
+) -> None:
     poses = loop_poses(80, laps=0.5)
     run = room_run(poses)
     ranges = run.ranges.copy()
     ranges[:30] = reading
-    found = map_run(replace(run, ranges=ranges))
+    found = map_run(times(replace(run, ranges=ranges)))
     sd = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
     assert set(found.status) == {"ok"} and sd[0, 0] > 5 * sd[40, 0]
     off = found.poses - compose(found.poses[40], compose(invert(poses[40]), poses))
@@ -349,10 +359,11 @@ def test_nothing_is_said_of_a_good_log(located: Localization) -> None:
     assert located.notes == ()
 
 
-def test_robot_that_was_carried_is_found_again_or_said_to_be_lost() -> None:
+@any_times
+def test_robot_that_was_carried_is_found_again_or_said_to_be_lost(times: Callable[[Run], Run]) -> None:
     """Carried across the room between two scans, turned, and the wheels noticed nothing."""
     truth = np.concatenate([TRUTH[:60], TRUTH[15:50]])
-    found = map_run(carried(room_run(truth[:60]), room_run(truth[60:], seed=1)))
+    found = map_run(times(carried(room_run(truth[:60]), room_run(truth[60:], seed=1))))
     ok = np.array(found.status) == "ok"
     errors, _ = aligned(found.poses[ok], truth[ok])
     assert ok[:60].all()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_samples import loop_poses, room_run
+from localization_samples import any_times, loop_poses, room_run
 
 from logs.motion import Motion
 from logs.run import Run
@@ -133,8 +134,9 @@ def test_whole_odometry_is_unchanged() -> None:
     assert filled is motion and notes == ()
 
 
-def test_located_poses_are_right_where_the_odometry_is_missing() -> None:
-    found = locate(cut(5.0, 13.0))
+@any_times
+def test_located_poses_are_right_where_the_odometry_is_missing(times: Callable[[Run], Run]) -> None:
+    found = locate(times(cut(5.0, 13.0)))
     away = compose(invert(compose(TRUTH[40], invert(found.poses[40]))), TRUTH)
     assert np.hypot(*(away - found.poses)[:, :2].T).max() < 0.05
     assert np.abs(wrap(away[:, 2] - found.poses[:, 2])).max() < np.radians(1.5)

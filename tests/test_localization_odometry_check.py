@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_samples import loop_poses, room_run, seen
+from localization_samples import loop_poses, room_run, seen, timed
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
@@ -150,5 +150,5 @@ def test_turns_that_only_the_whole_drive_shows_to_be_opposite_are_refused(
     """A narrow laser cannot be followed by its scans alone, so that no stretch is compared before."""
     monkeypatch.setattr("sensorgraph.localization.locate.with_checked_odometry", lambda run: (run, ()))
     with pytest.raises(SensorgraphError, match="scans and odometry turn in opposite directions"):
-        locate(replace(RUN, ranges=np.roll(RUN.ranges[:, ::-1], 1, axis=1)))
+        locate(timed(replace(RUN, ranges=np.roll(RUN.ranges[:, ::-1], 1, axis=1))))
     check_turns(WheelParameters(turn_scale=-0.1, turn_scale_sd=0.1))

@@ -22,7 +22,7 @@ from sensorgraph.localization.time_settings import RAY_TIMES
 from sensorgraph.localization.turning_pieces import TurningPieces, sweep_basis
 from sensorgraph.types import Floats
 
-N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 60.0, 0.01
+N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 40.0, 0.01
 BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, N_RAYS)
 
 

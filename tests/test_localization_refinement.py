@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import further
-from localization_samples import loop_poses, room_run
+from localization_samples import any_times, loop_poses, room_run, timed
 
+from logs.run import Run
 from logs.transforms import compose
 from sensorgraph.localization import refinement
 from sensorgraph.localization.front_end import track_part
@@ -20,10 +22,13 @@ from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.localization.wheels import corrected_steps
 
 
+@any_times
 @pytest.mark.parametrize("seed", [0, *further(2, 3)])
-def test_wheels_measured_by_few_returns_are_as_uncertain_as_the_poses(seed: int) -> None:
+def test_wheels_measured_by_few_returns_are_as_uncertain_as_the_poses(
+    seed: int, times: Callable[[Run], Run]
+) -> None:
     """With 24 returns of 1 cm, the scatter between stretches of the log states a seventh of the error."""
-    wheels = map_run(room_run(loop_poses(160, laps=2), n_rays=24, seed=seed)).wheels
+    wheels = map_run(times(room_run(loop_poses(160, laps=2), n_rays=24, seed=seed))).wheels
     assert wheels is not None
     assert abs(wheels.way_scale - 1.0) < 3 * wheels.way_scale_sd
     assert wheels.way_scale_sd < 0.01
@@ -52,7 +57,7 @@ def test_last_step_beyond_what_is_linear_is_shortened_and_is_part_of_the_errors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Scans that hardly determine a heading gave a step of 1123 m and 502 rad; others had not converged, and were stated as sure."""
-    run = room_run(loop_poses(80, laps=1))
+    run = timed(room_run(loop_poses(80, laps=1)))
     calls: list[int] = []
 
     def solve(system: ReducedSystem, rhs: np.ndarray, *args: Any) -> tuple[np.ndarray, int]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_samples import CORRIDOR, ROOM, loop_poses, room_run
+from localization_samples import CORRIDOR, ROOM, any_times, loop_poses, room_run
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
@@ -31,9 +32,12 @@ def without_odometry(run: Run) -> Run:
     return replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
 
 
+@any_times
 @pytest.mark.parametrize("has_odometry", [True, False])
-def test_a_lid_over_part_of_the_view_does_not_hold_the_robot_back(has_odometry: bool) -> None:
-    run, _ = with_part(room_run(LOOP, n_rays=180), 0.6)
+def test_a_lid_over_part_of_the_view_does_not_hold_the_robot_back(
+    has_odometry: bool, times: Callable[[Run], Run]
+) -> None:
+    run, _ = with_part(times(room_run(LOOP, n_rays=180)), 0.6)
     found = locate(run if has_odometry else without_odometry(run))
     assert any("108 of 180 rays see the robot itself" in note for note in found.notes)
     off = compose(compose(LOOP[75], invert(found.poses[75])), found.poses) - LOOP
@@ -89,11 +93,12 @@ def spinning_wheels() -> Run:
     return replace(run, odometry=ahead.odometry)
 
 
-def test_a_part_is_found_where_only_the_odometry_shows_the_motion() -> None:
+@any_times
+def test_a_part_is_found_where_only_the_odometry_shows_the_motion(times: Callable[[Run], Run]) -> None:
     """In a corridor, the part is the only thing that determines the place: the scans seem to stand."""
     x = np.linspace(0.0, 6.0, 150)
     truth = np.column_stack([x, 0 * x, 0 * x])
-    run, _ = with_part(room_run(truth, n_rays=180, walls=CORRIDOR), 0.25)
+    run, _ = with_part(times(room_run(truth, n_rays=180, walls=CORRIDOR)), 0.25)
     found = locate(run)
     assert any("45 of 180 rays see the robot itself" in note for note in found.notes)
     off = compose(compose(truth[0], invert(found.poses[0])), found.poses) - truth
