@@ -92,7 +92,8 @@ def test_a_plan_and_its_folder_give_the_same_run(drive: CoveragePlan, run: Run, 
 def test_a_run_and_its_file_give_the_same_graph(run: Run, drive: CoveragePlan, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     sg.record(drive, seed=1, path=path)
-    from_file, in_memory = sg.build(path, model="polynomial"), sg.build(run, model="polynomial")
+    form = {"model": "polynomial", "degree": 2, "harmonics": 1}
+    from_file, in_memory = sg.build(path, **form), sg.build(run, **form)
     pose = [1.0, 1.0, 0.3]
     means = sg.predict(from_file, pose).mean, sg.predict(in_memory, pose).mean
     np.testing.assert_allclose(*means, atol=1e-4)  # a file keeps ranges as float32
@@ -101,7 +102,7 @@ def test_a_run_and_its_file_give_the_same_graph(run: Run, drive: CoveragePlan, t
 
 
 def test_results_say_what_they_are_in_a_few_lines(drive: CoveragePlan, run: Run) -> None:
-    graph = sg.build(run, model="polynomial")
+    graph = sg.build(run, model="polynomial", degree=2, harmonics=1)
     found = sg.EFFECTS["range_bias"](b=0.03)
     turn = sg.identify(run, output="omega", inputs="cmd_omega", lags=1)
     near = graph.near(run.ranges[0], run.poses[:3])
@@ -116,7 +117,7 @@ def test_results_say_what_they_are_in_a_few_lines(drive: CoveragePlan, run: Run)
 
 
 def test_results_are_tables_in_a_notebook(drive: CoveragePlan, run: Run) -> None:
-    graph = sg.build(run, arena=drive.arena, model="polynomial", degree=2)
+    graph = sg.build(run, arena=drive.arena, model="polynomial", degree=2, harmonics=1)
     named = replace(run, meta={**run.meta, "source": "<b>mine</b> & yours"})
     for result, said in (
         (drive, "coverage"),

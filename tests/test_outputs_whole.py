@@ -38,7 +38,7 @@ def full_disk(size: int) -> Iterator[None]:
     "command",
     [
         "record {made}/plan --arena square -o {out}/a.mcap",
-        "build {made}/run.mcap -o {out}/a.sensorgraph",
+        "build {made}/run.mcap --no-calibrate -o {out}/a.sensorgraph",
         "evaluate {made}/g.sensorgraph {made}/run.mcap --json {out}/a.json",
         "predict {made}/g.sensorgraph --poses {made}/poses.csv -o {out}/a.npz",
         "review {made}/run.mcap --graph {made}/g.sensorgraph -o {out}/a.rrd",
