@@ -42,8 +42,13 @@ def files(run: Run, faces: Sensorgraph, tmp_path_factory: pytest.TempPathFactory
     logs.write(run, folder / "run.mcap")
     faces.save(folder / "faces.sensorgraph")
     build([run], model="polynomial", degree=1, harmonics=1).save(folder / "plain.sensorgraph")
-    build([run], model="cells").save(folder / "cells.sensorgraph")
     return folder
+
+
+@pytest.fixture(scope="module")
+def cells(run: Run, files: Path) -> None:
+    """Add a graph of cells, which takes seconds."""
+    build([run], model="cells").save(files / "cells.sensorgraph")
 
 
 def test_visible_stretches_lie_on_the_walls(room: Arena, faces: Sensorgraph) -> None:
@@ -80,6 +85,7 @@ def test_a_wall_that_moved_shows_as_the_residual_along_its_face(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("cells")
 @pytest.mark.parametrize("name", ["faces", "cells"])
 @pytest.mark.parametrize("with_run", [True, False])
 def test_faces_and_cells_are_drawn(name: str, with_run: bool, files: Path, tmp_path: Path) -> None:
