@@ -82,6 +82,7 @@ def test_submodules_do_not_shadow_functions() -> None:
     assert [name for name in FUNCTIONS if not callable(getattr(sg, name))] == []
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_plan_and_its_folder_give_the_same_run(drive: CoveragePlan, run: Run, tmp_path: Path) -> None:
     folder = drive.save(tmp_path / "plan")
     again = sg.record(folder, seed=1)

@@ -213,6 +213,7 @@ def test_page_and_terminal_say_what_was_considered_and_what_could_not_be_shown(f
     assert all(one.title in line for one in hidden)
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_command_explains_a_kept_report(
     found: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,6 +223,7 @@ def test_command_explains_a_kept_report(
         assert capsys.readouterr().out.strip() == found.why("range_bias")
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_command_refuses_what_it_cannot_explain_in_one_line(
     found: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

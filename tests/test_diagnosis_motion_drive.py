@@ -142,7 +142,7 @@ def test_a_constant_gain_beyond_tolerance_is_unknown(gains: tuple[float, float])
 @pytest.mark.parametrize(("per_metre", "is_told"), [(0.15, True), (0.03, False), *further((-0.15, True))])
 def test_a_base_that_turns_as_it_drives_is_unknown(per_metre: float, is_told: bool) -> None:
     """What it was told to turn is what it did, less so many radians per metre of its way."""
-    run = make_run(8)
+    run = make_run(8, duration=80.0)
     told = run.commands - np.outer(run.commands[:, 0], [0.0, per_metre])
     result = diagnose_drive(replace(run, commands=told), ROBOT)
     assert result.effects == () and (result.unknown is not None) == is_told

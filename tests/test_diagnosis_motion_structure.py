@@ -165,7 +165,7 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
     ],
 )
 def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: str) -> None:
-    result = diagnose_odometry(distort(make_run(11)), ROBOT)
+    result = diagnose_odometry(distort(make_run(11, duration=80.0)), ROBOT)
     assert result.unknown is not None and said in result.unknown.statement
     assert result.unknown.deviation is not None
     assert f"(log Bayes factor {result.unknown.statistic:.0f})" in result.unknown.deviation.sentence()
@@ -174,7 +174,7 @@ def test_what_no_effect_makes_is_unknown(distort: Callable[[Run], Run], said: st
 
 @pytest.mark.parametrize(("seed", "at"), [(11, 52.6), *further((13, 52.6), (14, 37.3))])
 def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(seed: int, at: float) -> None:
-    result = diagnose_odometry(worn_half_way(make_run(seed), at), ROBOT)
+    result = diagnose_odometry(worn_half_way(make_run(seed, duration=80.0), at), ROBOT)
     assert result.effects == () and result.unknown is not None
     moment = re.search(r"changes once, after (\d+) s", result.unknown.statement)
     assert moment is not None and abs(float(moment[1]) - at) <= 1.0
@@ -182,7 +182,7 @@ def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(s
 
 @pytest.mark.slow
 def test_what_the_odometry_shows_is_not_said_again_of_the_motors() -> None:
-    run = worn_half_way(make_run(11))
+    run = worn_half_way(make_run(11, duration=80.0))
     odometry = diagnose_odometry(run, ROBOT)
     assert odometry.motion is not None
     assert diagnose_drive(run, ROBOT).unknown is not None

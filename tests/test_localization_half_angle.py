@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 
 from logs.run import Run
 from logs.transforms import wrap
@@ -58,7 +59,7 @@ def with_stated_heading(run: Run, factor: float) -> Run:
 
 
 @any_times
-@pytest.mark.parametrize("factor", [2.0, 0.5])
+@pytest.mark.parametrize("factor", [2.0, *further(0.5)])
 def test_locate_corrects_the_heading_and_says_so(factor: float, times: Callable[[Run], Run]) -> None:
     found = locate(times(with_stated_heading(room_run(loop_poses(120, laps=1.5)), factor)))
     assert any("instead of half of it; corrected" in note for note in found.notes)

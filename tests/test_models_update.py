@@ -23,6 +23,10 @@ from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.world.raycast import cast
 
 BOX = [(1.0, 1.0), (1.4, 1.0), (1.4, 1.4), (1.0, 1.4)]
+FEW_RAYS = RangeSensor(
+    bearings=np.linspace(-np.pi / 2, np.pi / 2, 21), range_max=8.0, mount=np.array([0.1, 0.02, 0.01])
+)
+"""Cells take a time that grows with the number of readings."""
 
 
 def drive(arena: Arena, sensor: RangeSensor, n: int, seed: int, x: tuple[float, float] = (0.2, 3.8)) -> Run:
@@ -173,12 +177,6 @@ def sweeping(run: Run) -> Run:
     ranges = run.ranges.copy()
     ranges[::7, 3], ranges[::5, 8], ranges[::6, 20] = np.inf, -np.inf, np.nan
     return replace(run, sensor=replace(run.sensor, sweep_time=0.08), ranges=ranges)
-
-
-FEW_RAYS = RangeSensor(
-    bearings=np.linspace(-np.pi / 2, np.pi / 2, 21), range_max=8.0, mount=np.array([0.1, 0.02, 0.01])
-)
-"""Cells take a time that grows with the number of readings."""
 
 
 @pytest.mark.parametrize("sweeps", [False, True])

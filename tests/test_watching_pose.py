@@ -143,8 +143,9 @@ OFFICE = [
 """Rooms other than that of the graph; the second has right angles as well, and about its size."""
 
 
-@pytest.mark.parametrize("is_believed", [False, True])
-@pytest.mark.parametrize("walls", [SLANTED, OFFICE])
+@pytest.mark.parametrize(
+    ("walls", "is_believed"), [(SLANTED, False), (OFFICE, True), *further((SLANTED, True), (OFFICE, False))]
+)
 def test_a_robot_in_another_room_is_lost_whatever_it_believes(
     walls: list[tuple[float, float, float, float]], is_believed: bool
 ) -> None:
