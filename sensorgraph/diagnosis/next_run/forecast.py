@@ -136,7 +136,6 @@ class EvidenceForecast:
         truth = true_cast.expected
         data = replace(scans, ranges=_noise_free_readings(truth, scans))
         self.solver, alternative_cast = solver_for(data, question.alternative)
-        self.walls = alternative_cast.scene.walls
         self.tau = self.solver.tau
         self.locked = self.solver.locked
         true_beams, beams = true_cast.beams, alternative_cast.beams
@@ -150,9 +149,9 @@ class EvidenceForecast:
         """Return the evidence of one second of each motion."""
         parts, begin = [], 0
         for motion in self.motions:
-            rows = slice(begin, begin + len(motion.poses))
-            begin = rows.stop
-            solver = _solver_of(self.solver, self.walls, rows)
+            rows = np.arange(begin, begin + len(motion.poses))
+            begin += len(rows)
+            solver = self.solver.of_scans(rows)
             system = solver.assemble(self.weight[rows], 1.0)
             w = np.where(solver.jacobian.valid, self.weight[rows], 0.0)
             poses = np.einsum("ni,nij,nj->", system.start, system.poses, system.start)
@@ -250,27 +249,3 @@ def _return_probability(expected: ExpectedReadings, data: ScanData) -> Floats:
     margin = data.sensor.range_max - np.where(aimed, expected.reading, 1e9)
     chance = expected.p_return * ndtr(margin / expected.sigma)
     return np.clip(np.where(aimed, chance, 0.0), p_lost, 1 - p_lost)
-
-
-def _solver_of(solver: Solver, walls: Floats, rows: slice) -> Solver:
-    """Return the solver of some scans."""
-    n = solver.shape[0]
-
-    def cut(thing: Any) -> Any:
-        parts = {f.name: getattr(thing, f.name) for f in fields(thing)}
-        kept: dict[str, Any] = {}
-        for name, value in parts.items():
-            if isinstance(value, np.ndarray) and value.ndim >= 2:
-                kept[name] = value[:, rows] if name == "ends" else value[rows]
-        return replace(thing, **kept)
-
-    some = np.arange(n)[rows]
-    return Solver(
-        solver.data.subset(some),
-        cut(solver.expected),
-        cut(solver.jacobian),
-        walls,
-        solver.effects[rows],
-        solver.corners,
-        solver.locked,
-    )
