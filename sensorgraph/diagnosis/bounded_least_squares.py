@@ -6,9 +6,8 @@ At the optimum, the slope c - Hx is zero for free unknowns and points outward at
 
 Block principal pivoting exchanges all wrong bounds at once: Júdice and Pires (1994), "A block principal
 pivoting algorithm for large-scale strictly monotone linear complementarity problems", Computers & Operations
-Research 21. If it does not converge, a primal active-set method takes over, which terminates: Stark and
-Parker (1995), "Bounded-variable least squares: an algorithm and applications", Computational Statistics 10;
-Björck (1996), Numerical Methods for Least Squares Problems, section 5.2.
+Research 21. If it does not converge, bounded-variable least squares takes over, which terminates: Stark and
+Parker (1995), "Bounded-variable least squares: an algorithm and applications", Computational Statistics 10.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dposv
+from scipy.optimize import lsq_linear
 
 from sensorgraph.types import Bools, Floats
 
@@ -43,9 +43,7 @@ def solve_bounded(
     """Minimise x'Hx / 2 - c'x within bounds.
 
     Solve without bounds, clamp all unknowns beyond a bound, release all with a multiplier of the wrong sign,
-    and repeat until none remains. This takes a few solutions. If the exchange cycles, clamp, and then release
-    one bound at a time. Each step then descends, so that the method ends at the optimum after finitely many
-    steps.
+    and repeat until none remains. This takes a few solutions. If the exchange cycles, bounds are released one at a time.
 
     Parameters
     ----------
@@ -63,20 +61,7 @@ def solve_bounded(
     free = can_move.copy() if start is None else can_move & start.is_free
     if _exchange_blocks(H, c, x, free, low, high, can_move):
         return BoundedOptimum(x=x, is_free=free)
-    x = np.clip(x, low, high)
-    _descend(H, c, x, free, low, high)
-    stuck = np.zeros_like(free)  # released, but returned by round-off: skipped until another one moves
-    for _ in range(10 * len(c)):  # exact arithmetic needs no limit: no set of bounds occurs twice
-        worst = _wrongly_held(H, c, x, low, can_move & ~free & ~stuck)
-        if worst is None:
-            break
-        before = x[worst]
-        free[worst] = True
-        _descend(H, c, x, free, low, high)
-        stuck[worst] = x[worst] == before
-        if not stuck[worst]:
-            stuck[:] = False
-    return BoundedOptimum(x=x, is_free=free)
+    return _by_single_bounds(H, c, low, high)
 
 
 class BorderedProblem:
@@ -132,7 +117,7 @@ class BorderedProblem:
         if (x < self.low).any() or (x > self.high).any():
             return False
         held = ~self.optimum.is_free & (self.low < self.high)
-        return not held.any() or _wrongly_held(self.H, c, x, self.low, held) is None
+        return not (_gains_of_release(self.H, c, x, self.low, held) > 0.0).any()
 
 
 def _exchange_blocks(
@@ -175,11 +160,22 @@ def _solve(H: Floats, c: Floats, x: Floats, free: Bools) -> Floats:
     return np.asarray(np.linalg.lstsq(left, right, rcond=None)[0], dtype=np.float64)
 
 
-def _wrongly_held(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools) -> int | None:
-    """Return the unknown at a bound whose release gains most to first order; None at the optimum."""
-    gain = _gains_of_release(H, c, x, low, held)
-    worst = int(np.argmax(gain))
-    return worst if gain[worst] > 0.0 else None
+def _by_single_bounds(H: Floats, c: Floats, low: Floats, high: Floats) -> BoundedOptimum:
+    """Return the optimum by bounded-variable least squares, |A u - y|² / 2 with A'A = H, A'y = c and unknowns of one scale."""
+    moving = np.flatnonzero(low < high)
+    x, free = np.where(low < high, 0.0, high), low < high
+    scale = 1 / np.sqrt(np.maximum(np.diag(H)[moving], 1e-300))
+    values, vectors = np.linalg.eigh(H[np.ix_(moving, moving)] * np.outer(scale, scale))
+    kept = values > ROUND_OFF * values.max(initial=0.0)
+    root, axes = np.sqrt(values[kept]), vectors[:, kept].T
+    y = axes @ (scale * (c - H @ x)[moving]) / root
+    bounds = low[moving] / scale, high[moving] / scale
+    found = lsq_linear(root[:, None] * axes, y, bounds, method="bvls", tol=1e-14, max_iter=20 * len(moving))
+    side, free[moving] = found.active_mask, found.active_mask == 0
+    x[moving] = np.select([side < 0, side > 0], [low[moving], high[moving]], scale * found.x)
+    if free.any():
+        x[free] = np.clip(_solve(H, c, x, free), low[free], high[free])  # without the round-off of the roots
+    return BoundedOptimum(x=x, is_free=free)
 
 
 def _gains_of_release(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools) -> Floats:
@@ -190,20 +186,3 @@ def _gains_of_release(H: Floats, c: Floats, x: Floats, low: Floats, held: Bools)
     inward = np.where(x == low, slope, -slope)
     noise = ROUND_OFF * (np.abs(c) + np.abs(H) @ np.abs(x))
     return np.where(held & (inward > noise), inward**2 / np.maximum(np.diag(H), 1e-300), 0.0)
-
-
-def _descend(H: Floats, c: Floats, x: Floats, free: Bools, low: Floats, high: Floats) -> None:
-    """Move x to the optimum of the free unknowns, stopping at each bound; x and free change in place."""
-    while free.any():
-        target = x.copy()
-        target[free] = _solve(H, c, x, free)
-        below, above = free & (target < low), free & (target > high)
-        if not (below | above).any():
-            x[:] = target
-            return
-        bound = np.where(below, low, high)
-        share = np.divide(bound - x, target - x, out=np.full(len(x), np.inf), where=below | above)
-        first = share <= share.min()
-        x[free] += max(float(share.min()), 0.0) * (target - x)[free]
-        x[first] = bound[first]
-        free &= ~first
