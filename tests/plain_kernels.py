@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.scan.beam_mixture import (
     SQRT_TAU,
 )
 from sensorgraph.diagnosis.scan.corner_sums import Sums
-from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, log_p_beyond
+from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -86,8 +86,6 @@ def plain_e_step(
     weight = np.where(is_cut, 0.0, weight)
     lost = np.where(~returned & ~broken & (z > 0), p_lost * inverse, 0.0)
     log_p = np.log(total)
-    if data.beyond is not None:
-        log_p[data.beyond] = log_p_beyond(data, expected, shift, noise)
     return Responsibilities(
         log_p=log_p,
         weight=weight,

@@ -10,14 +10,13 @@ import shapely
 
 from logs.run import Run
 from planners.arena import Arena
+from sensorgraph.diagnosis.raster_map import without_unknown_space
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
-from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_clutter import surely_stands
-from sensorgraph.diagnosis.unknown_space import judged_around_things, without_unknown_space
-from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.types import Bools
+from sensorgraph.effects import EFFECTS
 from sensorgraph.world.open_borders import open_borders
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
@@ -117,48 +116,6 @@ def test_a_range_beyond_which_nothing_returns_is_seen_though_much_is_unknown(roo
     assert proposed and proposed[0].values["R"] == pytest.approx(2.0, abs=0.05)
 
 
-def judged_behind_rim(full: Arena, stopped: bool) -> tuple[ScanData, Amendment, Bools]:
-    """Stand a pillar before the hole in the east wall, or not; return data judged up to the hole, the disc, and the rays at it."""
-    part = with_hole_in_east_wall(full)
-    run = looking_about(part)
-    x, y, r = 3.2, 2.3, 0.1
-    angle = run.poses[:, 2:] + run.sensor.bearings
-    dx, dy = x - run.poses[:, :1] - run.sensor.mount[0], y - run.poses[:, 1:2]
-    ahead, aside = dx * np.cos(angle) + dy * np.sin(angle), dx * np.sin(angle) - dy * np.cos(angle)
-    at = (np.abs(aside) < r) & (ahead > 0)
-    face = ahead - np.sqrt(np.maximum(r**2 - aside**2, 0.0))
-    rng = np.random.default_rng(0)
-    ranges = np.where(np.isfinite(run.ranges), run.ranges, 7.0) + rng.normal(size=run.ranges.shape) * 0.005
-    ranges = np.where(at & stopped, face + rng.normal(size=face.shape) * 0.005, ranges)
-    data, _ = prepare_scans(replace(run, ranges=ranges), part, ROBOT)
-    data, _ = without_unknown_space(data)
-    assert data.into_unknown is not None
-    every = np.isfinite(data.into_unknown.horizon)
-    disc = EFFECTS["unmapped_obstacle"](x=x, y=y, r=r)
-    return data.judged_to_horizon(every), disc, at[: data.n_scans] & every
-
-
-def gained(data: ScanData, disc: Amendment) -> float:
-    bounds = NoiseBounds()
-    null = fit(data, (), start_state(data, bounds), bounds, outer=1, inner=3)
-    return fit(data, (disc,), null.state, bounds, outer=1, inner=3).j - null.j
-
-
-def test_before_unknown_space_a_thing_is_judged_by_rays_that_it_stops_and_by_those_that_go_on(
-    room: Arena,
-) -> None:
-    there, disc, at = judged_behind_rim(room, True)
-    gone, _, _ = judged_behind_rim(room, False)
-    assert there.beyond is not None and gone.beyond is not None
-    assert at.sum() > 200
-    assert not there.beyond[at].any()
-    assert gone.beyond[at].all()
-    assert gained(there, disc) > 500
-    assert gained(gone, disc) < -500
-    assert surely_stands(disc, there)
-    assert not surely_stands(disc, gone)
-
-
 @pytest.mark.parametrize("stands", [True, False])
 def test_rays_without_a_return_have_not_passed_a_thing_that_is_out_of_their_range(
     room: Arena, stands: bool
@@ -180,34 +137,3 @@ def test_rays_without_a_return_have_not_passed_a_thing_that_is_out_of_their_rang
     run = replace(run, sensor=robot.sensor, poses=poses, ranges=np.where(ranges > 1.2, np.inf, ranges))
     data, _ = prepare_scans(run, room, robot)
     assert surely_stands(EFFECTS["unmapped_obstacle"](x=x, y=y, r=r), data) is stands
-
-
-def test_what_lies_beyond_the_horizon_is_no_evidence_of_the_sensor(
-    room: Arena,
-) -> None:
-    """Any reading beyond it is as likely as any other."""
-    data, _, _ = judged_behind_rim(room, False)
-    assert data.into_unknown is not None
-    z = np.where(np.isfinite(data.into_unknown.ranges), data.into_unknown.ranges + 0.4, np.nan)
-    farther = replace(data, into_unknown=replace(data.into_unknown, ranges=z))
-    farther = farther.judged_to_horizon(np.isfinite(data.into_unknown.horizon))
-    bias = EFFECTS["range_bias"](b=0.05)
-    assert gained(farther, bias) == pytest.approx(gained(data, bias), abs=1e-6)
-
-
-def test_rays_that_leave_the_map_are_judged_only_around_what_surely_stands(
-    room: Arena,
-) -> None:
-    there, _, at = judged_behind_rim(room, True)
-    gone, _, _ = judged_behind_rim(room, False)
-    unjudged = [
-        replace(d, ranges=np.where(np.isfinite(d.into_unknown.horizon), np.nan, d.ranges), horizon=None, beyond=None, memo={})
-        for d in (there, gone)
-        if d.into_unknown is not None
-    ]  # fmt: skip
-    around = judged_around_things(unjudged[0], NoiseBounds())
-    assert around.horizon is not None
-    judged = np.isfinite(around.horizon)
-    assert judged[at].all()
-    assert 0 < judged.sum() < 0.8 * np.isfinite(there.horizon).sum()
-    assert judged_around_things(unjudged[1], NoiseBounds()) is unjudged[1]

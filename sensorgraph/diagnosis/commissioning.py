@@ -21,6 +21,7 @@ import numpy as np
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnosis.map_depth import raster_map_of
+from sensorgraph.diagnosis.raster_map import without_unknown_space
 from sensorgraph.diagnosis.scan.candidate_fits import is_rough, searched
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
@@ -36,7 +37,6 @@ from sensorgraph.diagnosis.scan.site_tolerances import pose_tolerances, shift_to
 from sensorgraph.diagnosis.scan.site_variation import single_effects
 from sensorgraph.diagnosis.scan.worth import must_be_spread, price, spread_evidence
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
-from sensorgraph.diagnosis.unknown_space import without_unknown_space
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
 from sensorgraph.robust import rms
 from sensorgraph.types import Progress

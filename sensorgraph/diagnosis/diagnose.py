@@ -26,7 +26,7 @@ from sensorgraph.diagnosis.motion.naming import (
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import RoomExposure, open_questions
-from sensorgraph.diagnosis.raster_map import RasterMap
+from sensorgraph.diagnosis.raster_map import RasterMap, without_unknown_space
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out, freed_of_scans
@@ -37,7 +37,6 @@ from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, diagnose_scans, sh
 from sensorgraph.diagnosis.simulation import shared_with, without_shared
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.diagnosis.stages import StageClock
-from sensorgraph.diagnosis.unknown_space import judged_around_things, without_unknown_space
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -190,7 +189,7 @@ def _prepare(
         data, said = without_unknown_space(data, with_changes=not is_uncommissioned)
         notes |= said | {"is_uncommissioned_graph": is_uncommissioned}
     if baseline is not None:
-        data = judged_around_things(baseline.apply_to(data), baseline.noise_bounds)
+        data = baseline.apply_to(data)
     return data, dict(notes)
 
 

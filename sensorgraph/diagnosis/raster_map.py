@@ -1,4 +1,4 @@
-"""Diagnosis in an occupancy-grid map: exclude unknown space, and group changes of the building into objects."""
+"""Exclude rays into space unknown to a map; in an occupancy-grid map, group changes of the building into objects."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from sensorgraph.effects.places import reflected
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.cell_borders import with_borders_as_walls
+from sensorgraph.world.open_borders import open_borders
 from sensorgraph.world.pixel_walls import (
     THING,
     is_near_gap,
@@ -211,6 +212,25 @@ def known_and_unchanged(
         "changes": [one.to_dict() for one in things],
         "changes_share": float(rays.mean()),
     }
+
+
+def without_unknown_space(data: ScanData, *, with_changes: bool = True) -> tuple[ScanData, dict[str, Any]]:
+    """Exclude rays that enter unknown space before they meet a wall; return the scans and notes for the report.
+
+    Parameters
+    ----------
+    with_changes : Keep readings that show a change of the building since its walls were found. False: exclude
+        them as well, if the changes are more than a diagnosis may name.
+    """
+    if data.sensor.is_composite or measures_cones(data.sensor):
+        return data, {"into_unknown_share": 0.0}
+    borders = open_borders(data.arena)
+    if not with_changes:
+        return known_and_unchanged(data, borders)
+    _, unknown = looks_into_unknown(data, borders)
+    if unknown.any():  # otherwise the cached casts stay valid
+        data = replace(data, ranges=np.where(unknown, np.nan, data.ranges), memo={})
+    return data, {"into_unknown_share": float(unknown.mean())}
 
 
 def looks_into_unknown(data: ScanData, borders: Floats) -> tuple[Floats, Bools]:

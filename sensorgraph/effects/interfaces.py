@@ -70,8 +70,6 @@ class Residuals(Protocol):
     beams: Beams
     z: Floats
     """[m] Measured readings; +inf without a return, -inf if too near."""
-    reached: Floats
-    """[m] Length of the ray: as measured, or to the end of the map without a return; nan if broken."""
     mu: Floats
     """[m] Expected readings."""
     residual: Floats

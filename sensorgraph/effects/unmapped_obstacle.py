@@ -89,7 +89,7 @@ def _n_through(residuals: Residuals, centre: Floats, radius: float) -> int:
     ahead, aside = residuals.beams.towards(centre[0], centre[1])
     aimed = (ahead > radius) & (np.abs(aside) < 0.7 * radius)
     with np.errstate(invalid="ignore"):
-        return int((aimed & (residuals.reached > ahead + radius + 0.1)).sum())
+        return int((aimed & (residuals.z > ahead + radius + 0.1)).sum())
 
 
 def _circle(points: Floats, directions: Floats) -> tuple[Floats, float, float]:

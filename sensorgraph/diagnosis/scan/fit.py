@@ -82,13 +82,11 @@ class Fitted:
 def cast(data: ScanData, model: Sequence[Amendment]) -> Cast:
     """Run the simulator at the poses of the data."""
     scene = data.scene()
-    beams = data.up_to_horizon(scene.run((*data.known, *model)))
+    beams = scene.run((*data.known, *model))
     jacobian = linearise(data, beams, scene.walls, scene.mount, bent_columns(data, model, beams))
     is_wide = measures_cones(data.sensor) or any(a.effect.diagnostics.wide_beam for a in model)
     edges = None if is_wide else _edges(data, scene)
-    expected = expected_readings(
-        beams, jacobian.steep, edges, scene.outliers, scene.shorts, scene.lattice, data.horizon
-    )
+    expected = expected_readings(beams, jacobian.steep, edges, scene.outliers, scene.shorts, scene.lattice)
     return Cast(scene=scene, beams=beams, jacobian=jacobian, expected=expected, edges=edges)
 
 

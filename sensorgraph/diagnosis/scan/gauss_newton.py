@@ -337,8 +337,7 @@ def fitted_noise(
         / count
     )
     returnable = max(float((solver.expected.p_return * np.isfinite(solver.expected.reading)).sum()), 1.0)
-    beyond = 0.0 if solver.data.beyond is None else float(solver.data.beyond.sum())
-    n = max(float(solver.data.returned.sum()) + beyond, 1.0)
+    n = max(float(solver.data.returned.sum()), 1.0)
     return BeamNoise(
         core=float(np.clip(np.sqrt(variance), *noise_bounds.core)),
         tail=float(np.clip(responsibilities.tail[is_whole].sum() / count, *noise_bounds.tail)),

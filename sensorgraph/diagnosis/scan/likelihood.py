@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from sensorgraph.diagnosis.scan.beam_mixture import (
     CORE,
@@ -60,7 +59,6 @@ def expected_readings(
     stray: float,
     short: float,
     lattice: float,
-    horizon: Floats | None = None,
 ) -> ExpectedReadings:
     """Collect the quantities of a cast that the likelihood needs.
 
@@ -70,7 +68,6 @@ def expected_readings(
     edges : Edges in depth; None without edges.
     stray, short : Probabilities of an outlier and of a short reading that effects add.
     lattice : [m] Step to which effects round the readings; 0 without rounding.
-    horizon : (n_scans, n_rays) [m] Range beyond which the map is unknown along a ray; None if it is known everywhere.
     """
     shape = beams.reading.shape
     alternative, spread, chance = np.full(shape, np.nan), np.zeros(shape), np.zeros(shape)
@@ -80,9 +77,6 @@ def expected_readings(
         chance[edges.index] = edges.chance
     if beams.straight is not None:
         chance = np.where(beams.straight, chance, 0.0)
-    if horizon is not None:
-        with np.errstate(invalid="ignore"):
-            alternative = np.where(np.isfinite(horizon) & (alternative >= horizon), np.nan, alternative)
     sigma = np.sqrt(np.square(beams.sigma) + steep**2)
     return ExpectedReadings(
         reading=beams.reading,
@@ -102,7 +96,7 @@ class Responsibilities:
     """Log-likelihood of every reading, and the posterior probability of each component; arrays (n_scans, n_rays)."""
 
     log_p: Floats
-    """[nats] 0 for a broken reading; for a ray beyond its horizon, the log-probability of passing the horizon."""
+    """[nats] 0 for a broken reading."""
     weight: Floats
     """[1/m²] weight of the residual."""
     residual: Floats
@@ -144,8 +138,6 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         SETTINGS.tail_width,
         SETTINGS.unexplained,
     ).reshape(7, *z.shape)
-    if data.beyond is not None:
-        found[LOG_P][data.beyond] = log_p_beyond(data, expected, shift, noise)
     return Responsibilities(
         log_p=found[LOG_P],
         weight=found[WEIGHT],
@@ -155,30 +147,6 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         lost=found[LOST],
         stray=found[STRAY],
     )
-
-
-def log_p_beyond(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: BeamNoise) -> Floats:
-    """Return the log-likelihoods (n,) [nats] of the rays that nothing stopped before their horizon.
-
-    The map beyond the horizon is unknown, so the likelihood is the total probability of all readings there. An object
-    before the horizon is thus judged both by the rays that it stops and by those that it should have stopped.
-    """
-    assert data.horizon is not None and data.beyond is not None
-    some = data.beyond
-    far = data.sensor.range_max
-    horizon = np.minimum(data.horizon[some], far)
-    mu, sigma = (expected.reading + shift)[some], noise.core * expected.sigma[some]
-    aimed = np.isfinite(mu)
-    off = np.where(aimed, horizon - np.where(aimed, mu, 0.0), -np.inf) / sigma
-    core, tail = ndtr(-off), ndtr(-off / SETTINGS.tail_width)
-    past = (1 - noise.tail) * core + noise.tail * tail
-    p_return = expected.p_return[some]
-    through = np.where(aimed, 1 - p_return * (1 - noise.loss) * (1 - past), 1.0)
-    p_alternative = expected.p_alternative[some]
-    stopped_there = np.isfinite(expected.alternative[some])
-    through = (1 - p_alternative) * through + p_alternative * np.where(stopped_there, noise.loss, 1.0)
-    rest = (1 - expected.stray) * (1 - noise.stray) * (1 - expected.short)
-    return np.asarray(np.log(rest * through + (1 - rest) * (1 - horizon / far) + SETTINGS.unexplained))
 
 
 def sample(

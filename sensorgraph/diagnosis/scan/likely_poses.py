@@ -29,8 +29,7 @@ def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: boo
     odd = np.arange(data.n_rays) % 2 == 1
     seen = data
     if even_rays:
-        beyond = None if data.beyond is None else data.beyond & ~odd
-        seen = replace(data, ranges=np.where(odd, np.nan, data.ranges), beyond=beyond, memo={})
+        seen = replace(data, ranges=np.where(odd, np.nan, data.ranges), memo={})
     state = start_state(seen, noise_bounds)
     got = fit(seen, (), state, noise_bounds, outer=SCAN.fit.casts, inner=SCAN.fit.pose_rounds)
     return data.posed_by(errors_of_laser(data, got.state))

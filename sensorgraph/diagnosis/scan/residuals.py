@@ -27,8 +27,6 @@ class FitResiduals:
     def __post_init__(self) -> None:
         solution, expected = self.fitted.solution, self.fitted.cast.expected
         self.z = self.data.ranges
-        beyond, horizon = self.data.beyond, self.data.horizon
-        self.reached = self.z if beyond is None or horizon is None else np.where(beyond, horizon, self.z)
         self.returned = self.data.returned
         self.lost = self.z == np.inf
         self.near = self.z == -np.inf

@@ -26,7 +26,6 @@ from sensorgraph.effects.nuisance import POSE_LIKE
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_returns
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.beams import Beams
 from sensorgraph.world.cast_memory import CastMemory
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, Tolerances
@@ -37,20 +36,6 @@ T = TypeVar("T")
 
 LAID, POSED = b"laid", b"posed"
 """Keys of `ScanData.memo`: the data with the walls, and with the poses, of the latest cast."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class IntoUnknown:
-    """Rays that leave the map before they meet a wall; arrays (n_scans, n_rays)."""
-
-    horizon: Floats
-    """[m] Range at which a ray leaves the map; inf for other rays."""
-    ranges: Floats
-    """[m] Measured range; nan for other rays."""
-
-    def subset(self, scans: NDArray[np.intp] | Bools) -> IntoUnknown:
-        """Return the rays of some scans: indices, or a mask (n_scans,)."""
-        return IntoUnknown(horizon=self.horizon[scans], ranges=self.ranges[scans])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,14 +60,6 @@ class ScanData:
     """[s] Start of the run."""
     span: float
     """[s] Length of the run."""
-    into_unknown: IntoUnknown | None = None
-    """Rays that leave the map. They are not judged (nan in `ranges`), except those of `judged_to_horizon`.
-    None: no such rays."""
-    horizon: Floats | None = None
-    """(n_scans, n_rays) [m] Range up to which a ray that leaves the map is judged; inf for other rays. None:
-    no ray is judged in this way."""
-    beyond: Bools | None = None
-    """(n_scans, n_rays) Whether the ray reached its horizon; its reading is nan in `ranges`."""
     laser_frame: bool
     """Whether the reference poses are those of the laser, so that its mount cannot be estimated."""
     from_scans: bool = False
@@ -233,40 +210,7 @@ class ScanData:
             poses=self.poses[scans],
             twists=self.twists[scans],
             posed=None if self.posed is None else self.posed[scans],
-            into_unknown=None if self.into_unknown is None else self.into_unknown.subset(scans),
-            horizon=None if self.horizon is None else self.horizon[scans],
-            beyond=None if self.beyond is None else self.beyond[scans],
             memo={},
-        )
-
-    def judged_to_horizon(self, some: Bools) -> ScanData:
-        """Return the data in which some rays (n_scans, n_rays) that leave the map are judged up to their horizon.
-
-        The selection must depend on the direction of the rays, not on their readings.
-        """
-        assert self.into_unknown is not None
-        horizon = np.where(some, self.into_unknown.horizon, np.inf)
-        z, leaves = self.into_unknown.ranges, np.isfinite(horizon)
-        return replace(
-            self,
-            ranges=np.where(leaves & (z < horizon), z, self.ranges),
-            horizon=horizon,
-            beyond=leaves & (z >= horizon),
-            memo={},
-        )
-
-    def up_to_horizon(self, beams: Beams) -> Beams:
-        """Return beams without surfaces beyond the horizon."""
-        if self.horizon is None:
-            return beams
-        before = beams.ranges < self.horizon
-        return replace(
-            beams,
-            ranges=np.where(before, beams.ranges, np.inf),
-            reading=np.where(before, beams.reading, np.inf),
-            wall=np.where(before, beams.wall, -1),
-            nx=np.where(before, beams.nx, 0.0),
-            ny=np.where(before, beams.ny, 0.0),
         )
 
     def windows(self, n: int) -> list[ScanData]:

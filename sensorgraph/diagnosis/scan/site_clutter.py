@@ -55,8 +55,7 @@ def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bo
     beams, near = _beams(data), SCAN.goodness_of_fit.outline_distance
     ahead, aside = beams.towards(x, y)
     face = ahead - np.sqrt(np.maximum(r**2 - aside**2, 0.0))
-    known = np.inf if data.horizon is None else data.horizon
-    free = np.minimum(np.minimum(beams.ranges, known), data.sensor.range_max)
+    free = np.minimum(beams.ranges, data.sensor.range_max)
     ahead = np.where((face > 0) & (free > face + 2 * near), ahead, np.inf)
     aside = np.abs(aside)
     aimed = np.isfinite(ahead) & (aside < SCAN.site.inner_share * r)
@@ -64,8 +63,6 @@ def _met(data: ScanData, x: float, y: float, r: float) -> tuple[Bools, Bools, Bo
     with np.errstate(invalid="ignore"):
         stopped, passed = np.abs(data.ranges - face) <= near, data.ranges > face + near
         beside = next_to & (data.ranges < free - near) & (np.abs(data.ranges - ahead) < r + near)
-    if data.beyond is not None:
-        passed |= data.beyond
     return aimed & stopped, aimed & passed, beside
 
 
