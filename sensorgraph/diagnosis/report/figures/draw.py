@@ -10,22 +10,18 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans
 from sensorgraph.diagnosis.report.figures.arena import arena_picture, next_run_picture
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
-from sensorgraph.diagnosis.report.figures.residuals import gap_picture, profile_picture, residuals_picture
-from sensorgraph.diagnosis.result import Gap
+from sensorgraph.diagnosis.report.figures.residuals import profile_picture, residuals_picture
 
 
 def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> dict[str, Path]:
     """Draw every picture for which the finding has data; return name -> file."""
     scan = finding.channels.get("scan")
-    gaps = _gaps(finding)
     pictures: dict[str, Callable[[Path], None]] = {}
     if compared is not None:
         pictures["arena"] = partial(arena_picture, finding, compared)
         pictures["residuals"] = partial(residuals_picture, finding, compared)
     if scan is not None and scan.unknown is not None and scan.unknown.profile is not None:
         pictures["profile"] = partial(profile_picture, scan.unknown.profile)
-    if gaps:
-        pictures["gap"] = partial(gap_picture, gaps, finding.second_gap)
     if finding.driving is not None:
         pictures["calibration"] = partial(calibration_picture, finding.driving.runs)
     if finding.next_run is not None:
@@ -35,11 +31,3 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
     for name, draw in pictures.items():
         draw(files[name])
     return files
-
-
-def _gaps(finding: Finding) -> dict[str, Gap]:
-    """Return the gaps to draw: channels with an effect first, then the scan channel."""
-    measured = {name: result for name, result in finding.channels.items() if result.gap is not None}
-    first = [n for n, result in measured.items() if result.effects or result.unknown is not None]
-    names = dict.fromkeys([*first, *(n for n in measured if n == "scan")]) or dict.fromkeys(measured)
-    return {name: gap for name in names if (gap := measured[name].gap) is not None}
