@@ -59,17 +59,3 @@ def heard(run: Run, silent: float, seed: int = 0) -> Run:
 def test_a_link_that_loses_commands_is_no_lag(silent: float) -> None:
     result = diagnose_drive(heard(make_run(3), silent), ROBOT)
     assert result.effects == () and (result.unknown is not None) == (silent > 0)
-
-
-@pytest.mark.parametrize(("share", "is_told"), [(0.08, True), (0.004, False)])
-def test_a_speed_that_is_off_for_seconds_at_a_time_is_unknown_though_it_looks_like_noise(
-    share: float, is_told: bool
-) -> None:
-    run = make_run(5)
-    t = run.odom_stamps
-    wander = np.sqrt(2 / 3) * sum(np.sin(2 * np.pi * t / period + period) for period in (5.3, 7.9, 11.7))
-    v, omega = run.odom_twists.T
-    result = diagnose_drive(reported(run, v * (1 + share * wander), omega), ROBOT)
-    assert result.effects == () and (result.unknown is not None) == is_told
-    if result.unknown is not None:
-        assert result.unknown.size is not None and result.unknown.size["speed_m_s"] > 0.005

@@ -15,7 +15,6 @@ from sensorgraph.diagnosis.motion.motors.model import DriveModel
 from sensorgraph.diagnosis.motion.motors.report import drive_result
 from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, with_structure
-from sensorgraph.diagnosis.motion.motors.slow_leftover import with_slow_leftover
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference
@@ -49,12 +48,11 @@ def diagnose_drive(
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
     model, selected = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
-    said = with_slow_leftover(model, selected)
-    if said.terms or said.structure is not None:
+    if selected.terms or selected.structure is not None:
         ramped, other = _explain(model.with_ramped_set_point(), named_wheels)
         if other.log_likelihood(ramped) > selected.log_likelihood(model) + EVIDENCE.threshold:
-            model, said = ramped, with_slow_leftover(ramped, other)
-    return drive_result(model, said)
+            model, selected = ramped, other
+    return drive_result(model, selected)
 
 
 def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> tuple[DriveModel, MotorSelection]:

@@ -43,7 +43,6 @@ DRIVE_FAMILIES = {
     "jump of the delay": ("delay_jump", "a delay of the motors that changes once"),
     "deadband": ("dead_zone", "a dead zone of small commands"),
     "ramp": ("slow_ramp", "a slower acceleration than specified"),
-    "slow": ("slow_speed_error", "a speed error that lasts for seconds"),
     "constant gain": ("constant_gain", "a constant gain of the motors beyond the tolerances"),
 }
 """Kind -> name in the ledger, and noun phrase."""

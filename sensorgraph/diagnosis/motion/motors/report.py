@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.motors.model import CONTROL_STEP, FILTER_ORDER, Column, DriveFit, DriveModel
+from sensorgraph.diagnosis.motion.motors.model import CONTROL_STEP, Column, DriveFit, DriveModel
 from sensorgraph.diagnosis.motion.motors.nuisances import due_to_loop
 from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
-from sensorgraph.diagnosis.motion.motors.slow_leftover import SLOW
 from sensorgraph.diagnosis.motion.regression import Term, held_out_residual
 from sensorgraph.diagnosis.motion.report import (
     AcceptedEffect,
@@ -22,7 +20,7 @@ from sensorgraph.diagnosis.motion.report import (
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import TestedStructure
-from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds
+from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, FitQuality, Gap, Rival
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -146,22 +144,12 @@ def _is_material(model: DriveModel, a: Amendment) -> bool:
 
 
 def _gap(model: DriveModel, selected: MotorSelection) -> Gap:
-    """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa.
-
-    A residual that lasts for seconds does not count as noise.
-    """
-    rows, fit, structure = model.rows, selected.fit, selected.structure
+    """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa."""
+    rows, fit = model.rows, selected.fit
     prior = model.prior(selected.terms, fit.motors)
     after = held_out_residual(fit.regression, prior, fit.columns, rows.y - fit.simulated, rows.start)
     n, k = 2 * rows.n_valid, fit.columns.shape[1]
-    left = model.residual(fit)
-    if structure is not None and structure.family.kind == SLOW:
-        left = left - structure.family.columns[:, 0]
-        model = copy(model)  # white noise, since a filter would remove the smooth residual
-        sigmas = [float(np.std(part[rows.valid])) for part in both_kinds(left, rows.n)]
-        first, second = (WhiteningFilter.white(FILTER_ORDER, sigma + 1e-12) for sigma in sigmas)
-        model.whitener = Whitener.plain((first, second), rows.valid)
-    floor = left * np.sqrt(n / max(n - k, 1))
+    floor = model.residual(fit) * np.sqrt(n / max(n - k, 1))
     return Gap(
         before=_quality(model, rows.y - model.simulation.rates(model.nominal)),
         after=_quality(model, after),
