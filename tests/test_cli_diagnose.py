@@ -24,7 +24,7 @@ from planners.maps import geojson
 from sensorgraph.cli import run as cli
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.report.figures import draw as figures
+from sensorgraph.diagnosis.report import files as figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
 from sensorgraph.loading import load_arena

@@ -20,9 +20,8 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import clutter_floor, surely_stands
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals, between_windows
-from sensorgraph.diagnosis.scan.worth import price
+from sensorgraph.diagnosis.scan.worth import clutter_floor, price, surely_stands
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import default_robot

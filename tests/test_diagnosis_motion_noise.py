@@ -13,14 +13,13 @@ from scipy.signal import lfilter
 from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
-from sensorgraph.diagnosis.motion.noise_kernels import robust_misfit
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.motion.reference_noise import (
     difference_autocovariance,
     robust_log_likelihood,
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.whitening import filter_of
+from sensorgraph.diagnosis.motion.whitening import filter_of, robust_misfit
 
 STEP = 0.02
 

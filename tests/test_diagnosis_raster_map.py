@@ -17,7 +17,7 @@ from logs.run import Run
 from planners.arena import Arena
 from planners.maps import ros_map
 from sensorgraph.diagnosis.raster_map import RasterMap
-from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans

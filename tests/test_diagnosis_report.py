@@ -25,8 +25,7 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report import comparison
 from sensorgraph.diagnosis.report.data import to_dict
-from sensorgraph.diagnosis.report.diagnosis import Diagnosis
-from sensorgraph.diagnosis.report.files import save_report
+from sensorgraph.diagnosis.report.files import Diagnosis, save_report
 from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.result import (
     ChannelResult,

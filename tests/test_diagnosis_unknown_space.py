@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.site_clutter import surely_stands
+from sensorgraph.diagnosis.scan.worth import surely_stands
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.open_borders import open_borders
 from sensorgraph.world.raycast import cast

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
 from sensorgraph.diagnosis.engine.why import check_known
-from sensorgraph.diagnosis.hypotheses import competitor, effect_entry, least_size, needs_of
+from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
-from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.report.quantities import quantity, symbol, title_of
+from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.diagnosis.scan.unnamed import titles
-from sensorgraph.effects import EFFECTS, Effect
+from sensorgraph.effects import EFFECTS, Amendment, Effect
 
 EXPLAINED = Objection("explained_otherwise", "the same difference is explained otherwise")
 UNLISTED = "unexplained"
@@ -154,3 +156,61 @@ def _judged(result: ChannelResult, family: Entry) -> Entry:
 def not_observable(ledger: Ledger) -> list[Entry]:
     """Return the effects that this run could not have shown anywhere."""
     return [one for one in ledger if one.facts.has_name and one.decided_by is DecidedBy.NOT_OBSERVABLE]
+
+
+def effect_entry(a: Amendment, facts: Facts, *, price: float | None = None) -> Entry:
+    """Return the entry of an effect with fitted or expected parameters.
+
+    Parameters
+    ----------
+    price : [nats] Complexity penalty.
+    """
+    place, xy = ("", None) if a.location is None else (a.location.name, a.location.xy)
+    return Entry(
+        name=a.name,
+        channel=a.effect.channel,
+        title=a.effect.title,
+        facts=facts,
+        place=place,
+        xy=None if xy is None else (float(xy[0]), float(xy[1])),
+        parameters={k: float(v) for k, v in a.parameters.items()},
+        stderr={k: float(v) for k, v in a.stderr.items() if math.isfinite(v)},
+        estimate=", ".join(f"{symbol(name)} = {quantity(a, name)}" for name in a.parameters),
+        price=price,
+        needs=needs_of(a.effect),
+    )
+
+
+def accepted_entry(a: Amendment, threshold: float, price: float, size: SimulationError) -> Entry:
+    """Return the entry of an effect of a motion channel that is in the model.
+
+    Parameters
+    ----------
+    threshold, price : [nats] Evidence that it needs, and its complexity penalty.
+    size : Error of a simulation without it.
+    """
+    facts = Facts(has_name=True, accepted=True, evidence=a.evidence, threshold=threshold)
+    return replace(
+        effect_entry(a, facts, price=price),
+        size=size.to_dict(),
+        consequence=size.sentence(),
+        remark=f"its size is not surely material (at least {least_size(a.effect)})",
+    )
+
+
+def least_size(effect: Effect) -> str:
+    """Return the materiality of an effect in words; empty if it has no size."""
+    limits = effect(**effect.sizes)
+    return ", ".join(quantity(limits, name).lstrip("+") for name in limits.parameters)
+
+
+def needs_of(effect: Effect) -> str:
+    """Return what a run must show to decide about an effect."""
+    return f"residuals that vary with {effect.varies}"
+
+
+def competitor(rival: Rival) -> Competitor:
+    """Return the rival of an effect as a competitor in the ledger."""
+    return Competitor(
+        title=title_of(rival.name), evidence=float(rival.evidence_nats), separates=rival.separates
+    )

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from planners.arena import Arena
 from planners.clearance import Barriers
-from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.places import reflected

@@ -19,9 +19,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.noise_kernels import robust_misfit
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.whitening import WhiteningFilter, filter_of, huber_loss
+from sensorgraph.diagnosis.motion.whitening import WhiteningFilter, filter_of, huber_loss, robust_misfit
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
 from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE, SURELY, Facts, Objection, Verdict
-from sensorgraph.diagnosis.hypotheses import accepted_entry, effect_entry
+from sensorgraph.diagnosis.ledger import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
 from sensorgraph.diagnosis.motion.settings import EVIDENCE

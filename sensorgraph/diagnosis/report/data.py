@@ -8,11 +8,19 @@ from dataclasses import asdict
 from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.report.driving import calibrations
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
+from sensorgraph.diagnosis.motion.calibration.estimate import NUISANCES, PARAMETERS, DrivingCalibration
 from sensorgraph.diagnosis.report.summary import main_channel
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
 from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
+
+UNITS = dict(
+    zip(
+        (*PARAMETERS, *NUISANCES), ("1", "1", "rad/m", "m", "m", "rad", "s", "m/m", "m/m"), strict=True
+    )
+)  # fmt: skip
+"""Parameter of a calibration from driving alone -> its unit."""
 
 
 def to_dict(finding: Finding) -> dict[str, Any]:
@@ -117,6 +125,42 @@ def channel_dict(result: ChannelResult) -> dict[str, Any]:
         "where": [deviation_dict(d) for d in result.deviations],
         "notes": dict(result.notes),
     }
+
+
+def calibrations(finding: DrivingFinding) -> list[dict[str, Any]]:
+    """Return the parameters of each run, and their change within it, as plain data."""
+    return [
+        {**_calibration(name, found), "change": _driving_change(finding, name)}
+        for name, found in finding.runs.items()
+    ]
+
+
+def _calibration(name: str, found: DrivingCalibration) -> dict[str, Any]:
+    return {
+        "run": name,
+        "way_m": found.way_m,
+        "turn_rad": found.turn_rad,
+        "duration_s": found.duration_s,
+        "stated_mount": found.mount.tolist(),
+        "parameters": {
+            key: {
+                "value": found.of(key)[0],
+                "stderr": found.of(key)[1],
+                "unit": unit,
+                "observable": key not in found.hidden,
+                "why": found.hidden.get(key),
+            }
+            for key, unit in UNITS.items()
+        },
+    }
+
+
+def _driving_change(finding: DrivingFinding, name: str) -> dict[str, Any] | None:
+    change = finding.changes[name]
+    if change is None:
+        return None
+    one = change.difference
+    return {"name": one.name, "difference": one.value, "stderr": one.stderr, "at_s": change.at_s}
 
 
 def plain(data: Any) -> Any:

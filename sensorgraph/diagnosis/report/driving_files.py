@@ -13,10 +13,10 @@ from logs.files import atomic_file
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.words import ABSORBED
 from sensorgraph.diagnosis.report.considered import considered_section
-from sensorgraph.diagnosis.report.data import effect_dict, plain
-from sensorgraph.diagnosis.report.driving import UNITS, calibrations, driving_section
+from sensorgraph.diagnosis.report.data import UNITS, calibrations, effect_dict, plain
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
 from sensorgraph.diagnosis.report.files import remove_old_report
+from sensorgraph.diagnosis.report.html import driving_section
 from sensorgraph.diagnosis.report.page_shell import page_shell, warnings
 from sensorgraph.effects import effects_file
 from sensorgraph.files import atomic_folder

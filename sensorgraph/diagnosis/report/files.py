@@ -1,22 +1,28 @@
 """Write the report of a diagnosis: report.json, report.html, effects.yaml, review.rrd and pictures in one folder.
 
-The viewer shows a short report in markdown next to the scans.
+The viewer shows a short report in markdown next to the scans. A `Diagnosis` is a finding with the arena and the robot it is about,
+which prints itself and saves its report.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from logs.files import atomic_file
+from logs.html_table import html_table
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.report.comparison import compare
+from sensorgraph.diagnosis.report import data
+from sensorgraph.diagnosis.report.comparison import ComparedScans, compare
 from sensorgraph.diagnosis.report.data import plain, to_dict
-from sensorgraph.diagnosis.report.figures.arena import marks, wall_sections
-from sensorgraph.diagnosis.report.figures.draw import draw_all
+from sensorgraph.diagnosis.report.figures.arena import arena_picture, marks, next_run_picture, wall_sections
+from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
+from sensorgraph.diagnosis.report.figures.residuals import profile_picture, residuals_picture
 from sensorgraph.diagnosis.report.html import page
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
@@ -150,3 +156,57 @@ def markdown(finding: Finding, name: str) -> str:
         ]
     lines += [f"*{name}. Gap and residuals are those of the bare simulator at the reference poses.*"]
     return "\n".join(lines)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Diagnosis(Finding):
+    """Result of `sensorgraph.diagnose`."""
+
+    arena: Arena
+    robot: Robot
+
+    @classmethod
+    def of(cls, finding: Finding, arena: Arena, robot: Robot) -> Diagnosis:
+        """Add arena and robot to a finding."""
+        return cls(**{f.name: getattr(finding, f.name) for f in fields(Finding)}, arena=arena, robot=robot)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of `report.json` as plain data."""
+        return data.to_dict(self)
+
+    def save(self, folder: Path | str) -> Path:
+        """Write report, pictures, `effects.yaml` and the next run into a folder; all of it or nothing."""
+        save_diagnosis(self, Path(folder), self.arena, self.robot)
+        return Path(folder)
+
+    def __repr__(self) -> str:
+        named = "".join(f"\n  {effect!r}" for effect in self.effects[:4])
+        return f"Diagnosis: {summarise(self).headline}{named}"
+
+    def _repr_html_(self) -> str:
+        """Return HTML for notebooks: the headline, and each named effect with size and probability."""
+        rows = [
+            (a.effect.title, place_text(a), ", ".join(parameters(a)), percent(a.probability))
+            for a in self.effects
+        ]
+        return html_table(summarise(self).headline, rows, head=("effect", "place", "size", "probability"))
+
+
+def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> dict[str, Path]:
+    """Draw every picture for which the finding has data; return name -> file."""
+    scan = finding.channels.get("scan")
+    pictures: dict[str, Callable[[Path], None]] = {}
+    if compared is not None:
+        pictures["arena"] = partial(arena_picture, finding, compared)
+        pictures["residuals"] = partial(residuals_picture, finding, compared)
+    if scan is not None and scan.unknown is not None and scan.unknown.profile is not None:
+        pictures["profile"] = partial(profile_picture, scan.unknown.profile)
+    if finding.driving is not None:
+        pictures["calibration"] = partial(calibration_picture, finding.driving.runs)
+    if finding.next_run is not None:
+        poses = finding.next_run.trajectory.poses
+        pictures["next_run"] = partial(next_run_picture, poses, finding.data.arena)
+    files = {name: folder / f"{name}.png" for name in pictures}
+    for name, draw in pictures.items():
+        draw(files[name])
+    return files

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
+from sensorgraph.diagnosis.motion.calibration.verdict import source_of
 from sensorgraph.diagnosis.report.considered import considered_section
 from sensorgraph.diagnosis.report.data import plain
-from sensorgraph.diagnosis.report.driving import driving_section
-from sensorgraph.diagnosis.report.page_shell import page_shell, picture, warnings
+from sensorgraph.diagnosis.report.page_shell import page_shell, picture, warnings, without_breaks
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
     minus,
@@ -219,6 +220,19 @@ def _driving_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         return ""
     heading = "Wheels and mount from driving alone"
     return driving_section(finding.driving, pictures.get("calibration"), heading=heading)
+
+
+def driving_section(finding: DrivingFinding, drawn: Path | None, *, heading: str) -> str:
+    """Return the calibration of each run as HTML, with the picture of its parts."""
+    caption = (
+        "Line and band: the whole run with two standard errors. Dots: eighths of the run with one standard error, for "
+        "independent windows."
+    )
+    parts = [f"<h2>{escape(heading)}</h2>"] if heading else []
+    for name, found in finding.runs.items():
+        said = "".join(f"<li>{without_breaks(line)}</li>" for line in finding.lines_of(name))
+        parts.append(f"<p>{escape(name)}, {without_breaks(source_of(found))}:</p><ul>{said}</ul>")
+    return "\n".join([*parts, picture(drawn, "parameters along the runs", caption)])
 
 
 def _channel_text(result: ChannelResult) -> str:

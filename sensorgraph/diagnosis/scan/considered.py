@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
 from sensorgraph.diagnosis.engine.verdict import Facts, Objection
-from sensorgraph.diagnosis.hypotheses import effect_entry
+from sensorgraph.diagnosis.ledger import effect_entry
 from sensorgraph.diagnosis.report.quantities import minus
 from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
 from sensorgraph.diagnosis.scan.fit import Cast, cast, thin

@@ -1,4 +1,6 @@
-"""Contribution of the map's corners to the normal equations, summed over rays by the wall that each ray meets.
+"""Corners of a map, whose position errors move the walls that end there, and their contribution to the normal equations.
+
+It is summed over rays by the wall that each ray meets.
 
 V, B and S are the derivatives of the readings by corner shifts, by the pose of a scan and by the shared unknowns. W holds
 the weights and y the residuals.
@@ -11,10 +13,12 @@ The sums are compiled.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 
 Sums = tuple[Floats, Floats, Floats, Floats]
 
@@ -116,3 +120,31 @@ def _by_wall(
                     by_wall[j, 0, wall[i, m]] += value * ends[0, i, m]
                     by_wall[j, 1, wall[i, m]] += value * ends[1, i, m]
     return with_pose, by_wall, square
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corners:
+    """Corners at the ends of each wall."""
+
+    ends: Ints
+    """(n_walls, 2) Indices of the corners."""
+    count: int
+    rest: int = -1
+    """Index shared by all fixed corners; -1 if every corner may shift."""
+
+    @classmethod
+    def of(cls, walls: Floats, met: Bools | None = None) -> Corners:
+        """Merge wall ends that coincide; corners that only end walls which no ray meets, by `met` (n_walls,), are fixed."""
+        x, y = np.round(walls.reshape(-1, 2), 6).T
+        _, index = np.unique(x + 1j * y, return_inverse=True)
+        index = index.reshape(-1, 2)
+        count = int(index.max()) + 1 if len(index) else 0
+        if met is None:
+            return cls(ends=index, count=count)
+        is_met = np.zeros(count, dtype=np.bool_)
+        is_met[index[met]] = True
+        n_met = int(is_met.sum())
+        if n_met == count:
+            return cls(ends=index, count=count)
+        index = np.where(is_met, np.cumsum(is_met) - 1, n_met)[index]
+        return cls(ends=index, count=n_met + 1, rest=n_met)

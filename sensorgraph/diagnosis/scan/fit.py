@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.scan.cast_place import (
     is_cast_at,
     pose_like,
 )
-from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
 from sensorgraph.diagnosis.scan.gauss_newton import (
     Solution,

@@ -16,14 +16,13 @@ from itertools import combinations, permutations
 import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import select
-from sensorgraph.diagnosis.scan.candidate_fits import CandidateFits, is_rough, searched
+from sensorgraph.diagnosis.scan.candidate_fits import CandidateFits, is_rough, ranked, searched
 from sensorgraph.diagnosis.scan.fit import (
     Fitted,
     fit,
     start_state,
 )
 from sensorgraph.diagnosis.scan.gauss_newton import State
-from sensorgraph.diagnosis.scan.ranking import ranked
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place

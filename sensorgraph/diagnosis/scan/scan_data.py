@@ -15,7 +15,7 @@ from logs.motion import Motion, motion_of
 from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
-from sensorgraph.diagnosis.scan.corners import Corners
+from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.intake import described_sensor, thinned_out
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval

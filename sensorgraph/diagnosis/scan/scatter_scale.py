@@ -11,7 +11,7 @@ from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed.family import Doubt
-from sensorgraph.diagnosis.scan.unnamed.laser_scatter import NAME
+from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import SCATTER
 from sensorgraph.effects.range_noise import RANGE_NOISE
 from sensorgraph.robust import robust_sigma
 
@@ -53,7 +53,7 @@ def doubt_of_scatter(found: GoodnessOfFit, explained: Explained, data: ScanData)
     if found.is_doubted or scale < SCAN.nuisance.stretched_scale:
         return found
     told = Doubt(
-        family=NAME,
+        family=SCATTER,
         misfit=0.0,
         statement=f"the laser scatters by {scale:.1f} times sensor.sigma in robot.yaml, at all ranges "
         f"({1000 * scale * sigma:.0f} mm instead of {1000 * sigma:.0f} mm)",

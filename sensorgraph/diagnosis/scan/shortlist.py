@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
 from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_clutter import surely_stands
+from sensorgraph.diagnosis.scan.worth import surely_stands
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.map_scale import MAP_SCALE
 from sensorgraph.effects.proposals import PROPOSAL

@@ -13,7 +13,7 @@ from logs.run import Run
 from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.engine.why import why
-from sensorgraph.diagnosis.hypotheses import effect_entry, least_size, needs_of
+from sensorgraph.diagnosis.ledger import effect_entry, least_size, needs_of
 from sensorgraph.diagnosis.motion.calibration.comparison import (
     Change,
     Difference,

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.motion.motors.model import CONTROL_STEP, Column, DriveFit, DriveModel
-from sensorgraph.diagnosis.motion.motors.nuisances import due_to_loop
-from sensorgraph.diagnosis.motion.motors.selection import MotorSelection
+from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, due_to_loop
 from sensorgraph.diagnosis.motion.regression import Term, held_out_residual
 from sensorgraph.diagnosis.motion.report import (
     AcceptedEffect,

@@ -1,4 +1,8 @@
-"""Select the effects of the motors by evidence, in competition with structure that no effect explains."""
+"""Select the effects of the motors by evidence, in competition with structure that no effect explains.
+
+Ticks of the control loop of the base and jitter of the transport are no effect. Every model that is tested for structure
+contains columns for these, in units of their prior standard deviation.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,6 @@ import numpy as np
 from sensorgraph.diagnosis.engine import selection as engine
 from sensorgraph.diagnosis.motion.consequence import sure_share
 from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveFit, DriveModel
-from sensorgraph.diagnosis.motion.motors.nuisances import drive_nuisances
 from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.motors.structure import OTHER_MOTORS, drive_families
 from sensorgraph.diagnosis.motion.regression import Term
@@ -21,15 +24,21 @@ from sensorgraph.diagnosis.motion.structure_test import (
     StructureTest,
     TestedStructure,
 )
+from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
+from sensorgraph.world.robot import Robot
 
 MORE_FAMILIES = 3
 """Maximum number of families beside the first one whose joint error is the size."""
 TIMING = (ACTUATOR_LAG, DEAD_TIME)
 """Effects that delay the response of the motors to a command."""
+BEAT_TIME = 5.0
+"""[s] over which the control loop of the base and the stamps of the commands keep their phase."""
+MAX_BEATS = 24
+"""Maximum number of pieces of the run with separate delays; in a longer run they are longer."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,3 +215,55 @@ def _all_significant(
             break
         found.append(family)
     return found
+
+
+def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
+    """Return the columns (2 n, m) of normal differences between commands and odometry."""
+    rows = model.rows
+    delays = delay_sigma(model.robot.tolerances.control_period, model.robot.tolerances.transport_jitter)
+    n = int(np.clip(np.ptp(rows.end) / BEAT_TIME, 1, MAX_BEATS))
+    piece = np.clip(n * (rows.end - rows.end[0]) / np.ptp(rows.end), 0, n - 1).astype(np.intp)
+    by_delay = fit.columns[:, Column.DELAY] * delays
+    return rows.masked(np.stack([by_delay * np.tile(piece == k, 2) for k in range(n)], axis=1))
+
+
+def delay_sigma(control_period: float, transport_jitter: float) -> float:
+    """Return the standard deviation of a command's delay [s].
+
+        delay_sigma² = control_period² / 12 + transport_jitter²
+
+    The wait for a tick of the base is uniform over one period.
+    """
+    return float(np.hypot(control_period / np.sqrt(12), transport_jitter))
+
+
+def due_to_loop(robot: Robot, a: Amendment) -> float:
+    """Return the part of a delay or a lag [s] that the control loop of the base may cause; 0 for other effects."""
+    if a.effect is DEAD_TIME:
+        return longest_wait(robot)
+    return stated_smear(robot) if a.effect is ACTUATOR_LAG and a["tau"] > 0 else 0.0
+
+
+def longest_wait(robot: Robot) -> float:
+    """Return the maximum delay [s] of all commands beyond robot.yaml, if they are in phase with the control loop.
+
+    Commands wait for a tick for up to a period. If `delay` contains the mean wait, the excess is half a
+    period. If the period is specified and `delay` is too short to contain the mean wait, the excess is a
+    whole period.
+    """
+    period = robot.tolerances.control_period
+    is_beside = _is_period_stated(robot) and robot.actuators.delay < period / 2
+    return period if is_beside else period / 2
+
+
+def stated_smear(robot: Robot) -> float:
+    """Return the apparent lag [s] of commands that each wait for the next tick of the specified loop.
+
+    Waits that are uniform over a period smear a step like a lag equal to their standard deviation. The result
+    is 0 if no period is specified.
+    """
+    return robot.tolerances.control_period / float(np.sqrt(12)) if _is_period_stated(robot) else 0.0
+
+
+def _is_period_stated(robot: Robot) -> bool:
+    return "tolerances.control_period" in robot.stated

@@ -11,8 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
-from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
-from sensorgraph.diagnosis.motion.wheels.rows import MIN_ROWS, MotionSignals, OdometryRows, rows_at
+from sensorgraph.diagnosis.motion.wheels.rows import (
+    MIN_ROWS,
+    MotionSignals,
+    OdometryRows,
+    WheelColumns,
+    rows_at,
+    wheel_rows,
+)
 from sensorgraph.types import Floats
 
 MAX_STEPS = 3

@@ -39,8 +39,7 @@ from sensorgraph.diagnosis.motion.regression import (
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
-from sensorgraph.diagnosis.motion.wheels.columns import WheelColumns, wheel_rows
-from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows
+from sensorgraph.diagnosis.motion.wheels.rows import OdometryRows, WheelColumns, wheel_rows
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, both_kinds, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP

@@ -3,7 +3,9 @@
 Reference poses are averaged over a tenth of a second. Each row compares the distance along the heading and
 the turn between two averages with the corresponding increments of the wheels, at an assumed clock offset.
 
-`MotionSignals` are the reference poses of base_link and the increments of the wheels.
+`MotionSignals` are the reference poses of base_link and the increments of the wheels. `WheelColumns` are the columns
+of the regression: wheel effects, the clock, and the offset of the marker. A row is the motion of the reference minus that of the wheels. The column of a wheel effect is defined by the
+effect (`Diagnostics.wheel_regressor`).
 """
 
 from __future__ import annotations
@@ -23,8 +25,11 @@ from sensorgraph.diagnosis.motion.increments import (
     require_reference,
     wheel_increments,
 )
-from sensorgraph.diagnosis.motion.regression import Rows
+from sensorgraph.diagnosis.motion.regression import Rows, Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.effects import EFFECTS, Effect
+from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
+from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.types import Bools, Floats, Ints
 
 CLOCK_STEP = 0.01
@@ -259,3 +264,59 @@ def motion_signals(run: Run) -> MotionSignals:
             f"poses and odometry overlap from {first:.1f} to {last:.1f} s, {last - first:.1f} of {whole:.1f} s; the rest is not used"
         )
     return MotionSignals(stamps=stamps, poses=poses, wheels=wheels, notes=notes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelColumns:
+    """Order of the columns: wheel effects in the order of the library, the clock, the marker; patches follow."""
+
+    regressors: tuple[tuple[Effect, WheelRegressor], ...]
+    """Wheel effects that act everywhere, and their columns."""
+
+    @classmethod
+    def of_library(cls) -> WheelColumns:
+        """Return the columns of the effects in the library."""
+        found = [(effect, effect.diagnostics.wheel_regressor) for effect in EFFECTS.values()]
+        return cls(
+            regressors=tuple((effect, regressor) for effect, regressor in found if regressor is not None)
+        )
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Effects that act everywhere, the clock last."""
+        effects = [*(effect for effect, _ in self.regressors), POSE_CLOCK_OFFSET]
+        return tuple(Term(effect, k) for k, effect in enumerate(effects))
+
+    @property
+    def clock(self) -> int:
+        """Column of the clock offset."""
+        return len(self.regressors)
+
+    @property
+    def n(self) -> int:
+        """Number of columns before those of patches; the last is that of the marker."""
+        return self.clock + 2
+
+    def evaluate(self, rows: OdometryRows, motion: WheelIncrements, base: float) -> Floats:
+        """Return the columns (2 n_rows, n), distances first, then turns; 0 where not valid.
+
+        Parameters
+        ----------
+        motion : Motion of the wheels; for structure tests, without noise (`fused_motion`).
+        base : [m] Wheelbase.
+        """
+        distance, turn = rows.D_along @ motion.distance, rows.D_yaw @ motion.turn
+        moved = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ motion.distance, base=base)
+        columns = [np.concatenate(regressor.column(moved)) for _, regressor in self.regressors]
+        columns.append(rows.slopes.T.ravel())
+        columns.append(
+            np.concatenate([-turn, np.zeros(rows.n)])
+        )  # a marker off the axle swings as the robot turns
+        return rows.masked(np.stack(columns, axis=1))
+
+
+def wheel_rows(rows: OdometryRows, wheels: WheelIncrements) -> Floats:
+    """Return reference minus wheels (2 n,), distances first, then turns; 0 where not valid."""
+    return rows.masked(
+        np.concatenate([rows.along - rows.D_along @ wheels.distance, rows.yaw - rows.D_yaw @ wheels.turn])
+    )

@@ -1,4 +1,7 @@
-"""Reference poses, stamps or a map that are less accurate than specified."""
+"""Reference poses, stamps, a map or a laser that are less accurate than specified.
+
+The scatter of the laser is tested before the effects (`scan.scatter_scale`).
+"""
 
 from __future__ import annotations
 
@@ -56,3 +59,6 @@ WORSE_THAN_SPECIFIED = Unnamed(
     },
     find=find,
 )
+
+SCATTER = "laser_scatter"
+LASER_SCATTER = Unnamed(titles={SCATTER: "a laser that scatters more than specified"})
