@@ -170,14 +170,16 @@ def _difference_quotients(data: ScanData, model: Sequence[Amendment], index: int
 
 def solver_for(data: ScanData, model: Sequence[Amendment]) -> tuple[Solver, Cast]:
     """Cast the scene, and differentiate by the effects' smooth parameters."""
-    at = cast(data, model)
-    corners = corners_of(data)
+    solver, at = solver_of_nuisances(data, model)
     quotients = [q for index in range(len(model)) for q in _difference_quotients(data, model, index, at)]
-    shape = at.expected.reading.shape
-    effects = np.stack(quotients, axis=1) if quotients else np.zeros((shape[0], 0, shape[1]))
-    held = locked(data, model, corners)
-    walls = at.scene.walls
-    return Solver(data, at.expected, at.jacobian, walls, effects, corners, held), at
+    return (solver.with_columns(np.stack(quotients, axis=1)) if quotients else solver), at
+
+
+def solver_of_nuisances(data: ScanData, model: Sequence[Amendment]) -> tuple[Solver, Cast]:
+    """Cast the scene; the effects have no columns."""
+    at, corners = cast(data, model), corners_of(data)
+    none, held = np.zeros((data.n_scans, 0, data.n_rays)), locked(data, model, corners)
+    return Solver(data, at.expected, at.jacobian, at.scene.walls, none, corners, held), at
 
 
 def with_increments(model: Sequence[Amendment], p: Floats) -> tuple[Amendment, ...]:
@@ -200,7 +202,6 @@ def fit(
     *,
     outer: int = 4,
     inner: int = 4,
-    **held: bool,
 ) -> Fitted:
     """Fit the smooth parameters, nuisances and noise; cast again until the objective no longer increases."""
     best: Fitted | None = None
@@ -217,7 +218,7 @@ def fit(
         laid = as_cast(data, state)  # so that the fit of another effect starts at the same cast
         solver, at = solver_for(laid, model)
         zero = np.zeros(solver.n_effects)
-        solution = iterate(solver, state, zero, noise_bounds, rounds=inner, **held)
+        solution = iterate(solver, state, zero, noise_bounds, rounds=inner)
         solution.state.laid, solution.state.posed = laid.laid, laid.posed
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + SCAN.fit.min_cast_gain
@@ -253,13 +254,7 @@ def log_p_at(
     noise_bounds : Bounds within which the noise is estimated again; None keeps the noise.
     """
     data = as_cast(data, state)
-    at = cast(data, model)
-    corners = corners_of(data)
-    shape = at.expected.reading.shape
-    solver = Solver(
-        data, at.expected, at.jacobian, at.scene.walls, np.zeros((shape[0], 0, shape[1])), corners,
-        np.zeros(len(state.g), dtype=np.bool_),
-    )  # fmt: skip
+    solver, at = solver_of_nuisances(data, model)
     shift, noise = solver.shift(state, np.zeros(0)), state.noise
     responsibilities = e_step(data, at.expected, shift, noise)
     if noise_bounds is not None:

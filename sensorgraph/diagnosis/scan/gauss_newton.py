@@ -265,10 +265,6 @@ def iterate(
     noise_bounds: NoiseBounds,
     *,
     rounds: int,
-    poses_free: bool = True,
-    nuisance_free: bool = True,
-    noise_free: bool = True,
-    scales_free: bool = True,
 ) -> Solution:
     """Alternate between responsibilities and the linear solve; return the solution with the best J."""
     state, p = state.copy(), p.copy()
@@ -298,28 +294,16 @@ def iterate(
             break
         if turn == rounds:
             break
-        g = state.g
-        if nuisance_free:
-            optimum = solver.maximise(system, state, optimum)
-            g, p = optimum.x[:n], optimum.x[n:]
-        else:
-            inner = system.matrix[n:, n:] + 1e-9 * np.diag(1 + np.diag(system.matrix)[n:])
-            if len(p):
-                p = np.asarray(
-                    np.linalg.solve(inner, system.right[n:] - system.matrix[n:, :n] @ g), dtype=np.float64
-                )
-        state.g = g
-        if poses_free:
-            delta = system.poses_at(np.concatenate([g, p]))
-            length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
-            most = SCAN.nuisance.max_pose_error
-            state.delta = delta * np.minimum(1.0, most / np.maximum(length, 1e-9))[:, None]
-        if noise_free:
-            state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
-        if scales_free:
-            state.pose_scale, state.map_scale = _scales(solver, system, lower, state, noise_bounds)
-            box = solver.box(state)  # the bounds may have shrunk since g was solved for
-            state.g = np.clip(state.g, -box, box)
+        optimum = solver.maximise(system, state, optimum)
+        state.g, p = optimum.x[:n], optimum.x[n:]
+        delta = system.poses_at(optimum.x)
+        length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
+        most = SCAN.nuisance.max_pose_error
+        state.delta = delta * np.minimum(1.0, most / np.maximum(length, 1e-9))[:, None]
+        state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
+        state.pose_scale, state.map_scale = _scales(solver, system, lower, state, noise_bounds)
+        box = solver.box(state)  # the bounds may have shrunk since g was solved for
+        state.g = np.clip(state.g, -box, box)
     assert best is not None
     return replace(best, covariance=_covariance(best.system, solver, best.state))
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from sensorgraph.diagnosis.result import FitQuality, Gap
 from sensorgraph.diagnosis.scan.cast_place import as_cast, as_pose_errors, pose_like
-from sensorgraph.diagnosis.scan.fit import Fitted, cast, locked
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
+from sensorgraph.diagnosis.scan.fit import Fitted, solver_of_nuisances
+from sensorgraph.diagnosis.scan.gauss_newton import State
 from sensorgraph.diagnosis.scan.likelihood import Responsibilities, e_step, sample
-from sensorgraph.diagnosis.scan.nuisance import BeamNoise, corners_of, pose_prior
+from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -37,13 +37,8 @@ class _HeldOutFit:
         data = as_cast(data, fitted.state, same_scans=False)
         if data.posed is not None:  # the likely poses include the mount and delay of the model
             data = data.posed_by(data.posed - as_pose_errors(data, pose_like(model)))
-        at, self.begin = cast(data, model), data.pose_start
-        corners = corners_of(data)
-        self.expected, self.steep = at.expected, at.jacobian.steep
-        none = np.zeros((data.n_scans, 0, data.n_rays))
-        self.solver = Solver(
-            data, at.expected, at.jacobian, at.scene.walls, none, corners, locked(data, model, corners)
-        )
+        self.solver, at = solver_of_nuisances(data, model)
+        self.begin, self.expected, self.steep = data.pose_start, at.expected, at.jacobian.steep
         self.fitted, self.noise = fitted, noise
 
     def e_step(self, data: ScanData, begin: Floats | None = None) -> tuple[Responsibilities, Floats]:

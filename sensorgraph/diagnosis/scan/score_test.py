@@ -22,7 +22,6 @@ import numpy as np
 from sensorgraph.diagnosis.bounded_least_squares import BorderedProblem
 from sensorgraph.diagnosis.scan.cast_place import as_cast
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, slopes
-from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.normal_equations import System, boxed, limits, with_prior
 from sensorgraph.diagnosis.scan.nuisance import corners_of, effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -95,10 +94,8 @@ def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Cand
         if not effect.has_own_columns or effect.name in fitted.names():
             continue
         at_neutral = effect.at_neutral()
-        columns = np.concatenate([old.effects, columns_of(data, fitted, at_neutral)], axis=1)
-        walls = fitted.cast.scene.walls
-        solver = Solver(data, old.expected, old.jacobian, walls, columns, old.corners, old.locked)
-        system = solver.assemble(weight, state.pose_scale)
+        wide = old.with_columns(columns_of(data, fitted, at_neutral))
+        system = wide.assemble(weight, state.pose_scale)
         k = len(effect.steps)
         without, _ = _solved(system.matrix[:-k, :-k], system.right[:-k], tau, old.locked)
         value, x = _solved(system.matrix, system.right, tau, old.locked)
@@ -114,7 +111,7 @@ def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candi
     old, state = fitted.solver, fitted.state
     owner = sensor_of_rays(data.sensor)
     present = {(a.name, a.place) for a in fitted.model}
-    blocks, columns = [], [old.effects]
+    blocks, columns = [], []
     for effect in effects_with_nuisances():
         if effect.stage not in STAGES_OF_ONE_SENSOR:
             continue
@@ -124,12 +121,11 @@ def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candi
             if (at.name, at.place) not in present:
                 blocks.append(at)
                 columns.append(np.where(owner == number, by_parameter, 0.0).transpose(1, 0, 2))
-    walls, tau = fitted.cast.scene.walls, old.scaled(state)
-    wide = Solver(
-        data, old.expected, old.jacobian, walls, np.concatenate(columns, axis=1), old.corners, old.locked
-    )
-    system = wide.assemble(weight, state.pose_scale)
-    n_old = len(system.right) - sum(part.shape[1] for part in columns[1:])
+    if not blocks:
+        return []
+    tau = old.scaled(state)
+    system = old.with_columns(np.concatenate(columns, axis=1)).assemble(weight, state.pose_scale)
+    n_old = len(system.right) - sum(part.shape[1] for part in columns)
     base = np.arange(n_old)
     without, _ = _solved(system.matrix[:n_old, :n_old], system.right[:n_old], tau, old.locked)
     found, first = [], n_old
