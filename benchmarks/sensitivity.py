@@ -219,9 +219,7 @@ def answers(channel: str, cases: list[tuple[Run, str, str]]) -> list[str]:
     for run, arena, file in cases:
         robot = parse_robot(file)
         if channel == "scan":
-            scan = diagnose(
-                run, geojson.loads(arena), robot, threshold=SCAN.selection.threshold, plan_next=False
-            ).channels["scan"]
+            scan = diagnose(run, geojson.loads(arena), robot, plan_next=False).channels["scan"]
             results = [scan]
         else:
             results = list(diagnose_motion(run, robot, (), 0))

@@ -60,8 +60,6 @@ def diagnose(
     *,
     second: Run | None = None,
     known: Sequence[Amendment] = (),
-    noise_bounds: NoiseBounds | None = None,
-    threshold: float = SCAN.selection.threshold,
     baseline: SiteBaseline | None = None,
     seed: int = 0,
     plan_next: bool = True,
@@ -75,8 +73,6 @@ def diagnose(
     ----------
     second : A further run of the same robot and place; used only to measure the gap.
     known : Effects that are already part of the model.
-    noise_bounds : Limits of the estimated noise; default: those of a careful setup.
-    threshold : [nats] Evidence that an effect needs to be named.
     baseline : What known-good runs of the site show (`commissioning`). Only differences from it are reported.
     seed : Of the simulated replicates (parametric bootstrap) and of the next run.
     plan_next : Plan a run that could answer the open questions.
@@ -90,7 +86,7 @@ def diagnose(
         A run is too short, has no returns or no poses, has poses that jump, or is of another sensor or place.
     """
     _check_motion(run, second, force=force)
-    rng, clock, noise_bounds = np.random.default_rng(seed), StageClock(progress), noise_bounds or SCAN.noise
+    rng, clock, noise_bounds = np.random.default_rng(seed), StageClock(progress), SCAN.noise
     if baseline is not None:
         robot, known, noise_bounds = baseline.robot, (*baseline.known, *known), baseline.noise_bounds
     with clock.stage("intake"):
@@ -112,8 +108,6 @@ def diagnose(
         unseen,
         second_data,
         noise_bounds=noise_bounds,
-        threshold=threshold,
-        most=_max_effects(laid.alignment),
         baseline=baseline,
         simulated=simulated,
         rng=rng,
@@ -163,13 +157,6 @@ def _check_motion(run: Run, second: Run | None, *, force: bool) -> None:
     for one in [run] if second is None else [run, second]:
         check_jumps(one, pair(one), force=force)
         check_moves(one)
-
-
-def _max_effects(alignment: Alignment) -> int:
-    """Return the maximum number of effects in a model; smaller if the arena matches only a part of the run."""
-    is_partial = alignment.matching < SCAN.alignment.partly_matching
-    selection = SCAN.selection
-    return selection.max_effects_if_partly_matching if is_partial else selection.max_effects
 
 
 def _prepare(

@@ -47,8 +47,6 @@ def diagnose_scans(
     second: ScanData | None,
     *,
     noise_bounds: NoiseBounds,
-    threshold: float,
-    most: int,
     baseline: SiteBaseline | None,
     simulated: Sequence[Amendment],
     rng: np.random.Generator,
@@ -59,15 +57,14 @@ def diagnose_scans(
     Parameters
     ----------
     second : Scans of a further run, for a second gap.
-    most : Maximum number of effects in a model.
     simulated : Effects that a simulation shows. The same effect with the same size is not a difference.
     """
     with clock.stage("explain"):
-        explained = explain(train, noise_bounds, threshold=threshold, most=most, progress=clock.progress)
+        explained = explain(train, noise_bounds, progress=clock.progress)
         free = freed_scatter(train, explained, noise_bounds) if baseline is None else None
         if free is not None:
             noise_bounds = free
-            explained = explain(train, free, threshold=threshold, most=most, progress=clock.progress)
+            explained = explain(train, free, progress=clock.progress)
         shared = shared_effects(train, explained, simulated)
         if shared:
             known = (*train.known, *shared)
@@ -83,7 +80,7 @@ def diagnose_scans(
     with clock.stage("observable"):
         unseen_effects = {**names.result.not_observable, **not_observable(train, final)}
         considered = (
-            *effect_entries(train, explained, names.complete, names.small, names.chances, threshold),
+            *effect_entries(train, explained, names.complete, names.small, names.chances),
             *family_entries(goodness, train.sensor.sigma),
         )
         result = replace(names.result, gap=gap, not_observable=unseen_effects, considered=considered)

@@ -162,7 +162,7 @@ class RoomExposure:
         fitted = fit(scans, (), start_state(scans, SCAN.noise), SCAN.noise, outer=1, inner=1)
         sensor = self.robot.sensor
         share = scans.ranges.size / len(spins) / (self.duration * sensor.rate * sensor.n_rays)
-        return RunExposure(scans, fitted, SCAN.selection.threshold), share
+        return RunExposure(scans, fitted), share
 
     def can_show(self, a: Amendment) -> bool:
         """Tell whether a run could show an effect that acts everywhere; True for effects without a condition."""

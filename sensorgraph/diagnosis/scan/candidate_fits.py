@@ -150,22 +150,19 @@ def searched(
     return got
 
 
-def ranked(
-    data: ScanData, tried: Sequence[tuple[Fitted, float]], threshold: float
-) -> list[tuple[Fitted, float]]:
+def ranked(data: ScanData, tried: Sequence[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
     """Return the tried effects in order of their evidence; at a known site, possible clutter comes only if nothing else does.
 
     Parameters
     ----------
     tried : Fits, each with the gain [nats] of the last effect in its model.
-    threshold : [nats] Evidence that a name requires.
     """
     order = sorted(without_ends(data, tried), key=lambda pair: -pair[1])
     if not data.clutter_nats:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
     # possible clutter waits, because it would absorb the readings of other effects
-    if any(gain >= threshold for _, gain in certain):
+    if any(gain >= SCAN.selection.threshold for _, gain in certain):
         order = certain
     return order
 

@@ -30,7 +30,6 @@ def effect_entries(
     complete: Sequence[Amendment],
     small: Mapping[int, Objection],
     chances: Sequence[float],
-    threshold: float,
 ) -> tuple[Entry, ...]:
     """Return the entries of all effects that the search fitted, or whose gain it predicted.
 
@@ -39,7 +38,6 @@ def effect_entries(
     complete : Effects of the model with their evidence, in the order of the model.
     small : Index in the model -> why the effect is within tolerance.
     chances : Probability that each effect is material.
-    threshold : [nats] Evidence that a name requires.
     """
     few = thin(data, max(1, data.n_scans // SCAN.sweep.n_scans))
     model = explained.final.model
@@ -52,7 +50,7 @@ def effect_entries(
             has_name=True,
             accepted=True,
             evidence=a.evidence,
-            threshold=threshold,
+            threshold=SCAN.selection.threshold,
             material_probability=chances[index],
             required_probability=SCAN.naming.min_material_probability,
             objection=None if is_size else why,
@@ -66,14 +64,14 @@ def effect_entries(
     for name, (a, gain, round_) in _best_fits(explained.steps).items():
         if name in names:
             continue
-        facts = Facts(has_name=True, evidence=gain, threshold=threshold)
+        facts = Facts(has_name=True, evidence=gain, threshold=SCAN.selection.threshold)
         entry = replace(effect_entry(a, facts, price=price(a, data)), alone=_alone(explained.steps, a))
         entry = _with_winner(entry, a, explained.steps[round_])
         out.append(_with_size(entry, cast(few, (*model, a)), whole))
         names.add(name)
     for name, candidate in explained.expected.items():
         if name not in names:
-            out.append(_expected(candidate.amendment, candidate.gain, data, threshold))
+            out.append(_expected(candidate.amendment, candidate.gain, data))
     return tuple(out)
 
 
@@ -107,10 +105,12 @@ def _with_winner(entry: Entry, a: Amendment, step: Step) -> Entry:
     )
 
 
-def _expected(a: Amendment, gain: float, data: ScanData, threshold: float) -> Entry:
+def _expected(a: Amendment, gain: float, data: ScanData) -> Entry:
     """Return the entry of an effect whose expected gain [nats] was too small for a fit."""
     paid = price(a, data)
-    facts = Facts(has_name=True, evidence=gain - paid, threshold=threshold, is_significant=False)
+    facts = Facts(
+        has_name=True, evidence=gain - paid, threshold=SCAN.selection.threshold, is_significant=False
+    )
     remark = f"it was not fitted, because a fit was expected to gain only {gain:.1f} nats before its price"
     return replace(effect_entry(a, facts, price=paid), remark=remark)
 

@@ -25,8 +25,8 @@ from sensorgraph.types import Bools, Floats
 class RunExposure:
     """Surfaces, ranges and angles that the rays of a run met (see `sensorgraph.effects.interfaces.Exposure`)."""
 
-    def __init__(self, data: ScanData, fitted: Fitted, threshold: float) -> None:
-        self.data, self.fitted, self.threshold = data, fitted, threshold
+    def __init__(self, data: ScanData, fitted: Fitted) -> None:
+        self.data, self.fitted = data, fitted
         self.system, self.solver = fitted.solution.system, fitted.solver
         self.tau = self.solver.scaled(fitted.state)
         self.n = self.solver.n_g
@@ -49,7 +49,7 @@ class RunExposure:
 
     def need(self, amendment: Amendment) -> float:
         """Return the evidence [nats] that is required to name an effect."""
-        return self.threshold + price(amendment, self.data)
+        return SCAN.selection.threshold + price(amendment, self.data)
 
     def need_of(self, effect: Effect) -> float:
         """Return the evidence [nats] that is required to name an effect with all its parameters."""

@@ -66,17 +66,10 @@ class Explained:
     """Name of each effect -> its best start in the last round, whether or not it was fitted."""
 
 
-def explain(
-    data: ScanData,
-    noise_bounds: NoiseBounds,
-    *,
-    threshold: float = SCAN.selection.threshold,
-    most: int = SCAN.selection.max_effects,
-    progress: ProgressBars = no_progress,
-) -> Explained:
-    """Search for at most `most` effects with sufficient evidence; each round has a progress bar."""
-    search = EffectSearch(data, noise_bounds, threshold, progress)
-    select(search, threshold=threshold, most=most)
+def explain(data: ScanData, noise_bounds: NoiseBounds, *, progress: ProgressBars = no_progress) -> Explained:
+    """Search for effects with sufficient evidence; each round has a progress bar."""
+    search = EffectSearch(data, noise_bounds, progress)
+    select(search, threshold=SCAN.selection.threshold, most=SCAN.selection.max_effects)
     current, gains, n = search.current, {}, len(search.current.model)
     with progress("weighing effects", "effects") as tick:
         for index in range(n):
@@ -101,10 +94,9 @@ def explain(
 class EffectSearch:
     """Effects as hypotheses about the scans; `current` is the fit of the present model. One loop over rounds of fits."""
 
-    def __init__(
-        self, data: ScanData, noise_bounds: NoiseBounds, threshold: float, progress: ProgressBars
-    ) -> None:
-        self.data, self.noise_bounds, self.threshold, self.progress = data, noise_bounds, threshold, progress
+    def __init__(self, data: ScanData, noise_bounds: NoiseBounds, progress: ProgressBars) -> None:
+        self.data, self.noise_bounds, self.progress = data, noise_bounds, progress
+        self.threshold = SCAN.selection.threshold
         self.casts = 1 if data.posed is None else SCAN.fit.casts
         with progress("fitting the simulator", ""):
             self.null = self._fit((), start_state(data, noise_bounds), self.casts, 7)
@@ -134,7 +126,7 @@ class EffectSearch:
                 if not memory.repeat_in_full():
                     return None
                 continue
-            order = ranked(self.data, tried, self.threshold)
+            order = ranked(self.data, tried)
             self._chosen, gain = order[0]
             effect = self._chosen.model[-1]
             if gain >= self.threshold:

@@ -16,25 +16,14 @@ from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.scan.exposure import RunExposure
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.exposures import falls_short, listed
 from sensorgraph.types import Floats
 
 
-def not_observable(
-    data: ScanData,
-    fitted: Fitted,
-    *,
-    threshold: float = SCAN.selection.threshold,
-) -> dict[str, str]:
-    """Return the effects that this run could not have shown, each with the reason.
-
-    Parameters
-    ----------
-    threshold : [nats] Evidence that a name requires, after the complexity penalty.
-    """
-    exposure = RunExposure(data, fitted, threshold)
+def not_observable(data: ScanData, fitted: Fitted) -> dict[str, str]:
+    """Return the effects that this run could not have shown, each with the reason."""
+    exposure = RunExposure(data, fitted)
     out = _hidden_by_poses(data)
     present = set(fitted.names())
     for found in (_told_by_effects(exposure), _smooth(exposure)):

@@ -89,7 +89,8 @@ class AlignmentSettings:
     good_share: float = 0.8
     """Share of returns at walls below which another scale of the map is searched for."""
     partly_matching: float = 0.65
-    """Share of readings with the predicted length below which only a few effects are named."""
+    """Share of returns at walls after a motion of the poses, or of readings with the predicted length at another scale of the
+    map, above which the place is the right one."""
     matching_scans: int = 100
     """Number of scans that are cast for this share."""
     min_gain: float = 0.25
@@ -229,8 +230,6 @@ class SelectionSettings:
     """[nats] Complexity penalty per parameter."""
     max_effects: int = 5
     """Maximum number of effects in a model."""
-    max_effects_if_partly_matching: int = 3
-    """The same if the arena matches the run only in part."""
     max_candidates: int = 10
     """Maximum number of candidates fitted on a part of the scans."""
     max_searched: int = 5
