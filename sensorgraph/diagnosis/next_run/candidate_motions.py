@@ -71,8 +71,8 @@ class DrivableSpace:
     """(n, 2) [m] reachable places; only those with spare clearance, if there are any."""
 
     @classmethod
-    def of(cls, arena: Arena, robot: Robot, *, start: Floats | None = None) -> DrivableSpace:
-        """Find the places that are reachable from `start` (3,), or from anywhere.
+    def of(cls, arena: Arena, robot: Robot) -> DrivableSpace:
+        """Find the places at which the robot can be.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class DrivableSpace:
                 f"robot.yaml: `drive` is {robot.drive!r}; a next run needs a robot that can turn in place (`diff`)"
             )
         barriers = Barriers(arena)
-        free = reach(arena, barriers, clearance=robot.footprint_radius + WALL_MARGIN, cell=CELL, start=start)
+        free = reach(arena, barriers, clearance=robot.footprint_radius + WALL_MARGIN, cell=CELL)
         roomy = free.mask & (free.distance >= free.clearance + SPARE_CLEARANCE)
         index = np.nonzero(roomy if roomy.any() else free.mask)
         return cls(arena=arena, robot=robot, barriers=barriers, reach=free, nodes=free.nodes(index))

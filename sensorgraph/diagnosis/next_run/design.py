@@ -2,17 +2,12 @@
 
 1. `candidate_motions` lists motions that may separate two models: spins, sweeps and shuttles in the whole
    room.
-2. `forecast` predicts the evidence of each per second; `allocate_time` divides the time among them.
-3. `drives` joins the motions with the most time into closed-form curves of moves and turns, in several
-   versions.
+2. `forecast` predicts the evidence of each, if it took the whole time. The motions with the most evidence, of all kinds and
+   of each kind, get time in proportion to their scores.
+3. `drives` joins them into closed-form curves of moves and turns, in several versions.
 4. The version with the most expected evidence is the next run. Random drives are the comparison.
 
-The motions together bring the most evidence that their time allows:
-
-    maximise  sum over questions of log(1 + nats)   subject to   sum of time = duration, time >= 0
-
-The evidence nats of a question is the minimum, over the refitted values, of functions that are linear in time
-(`forecast`). It is therefore concave in time, and so is the sum.
+    score = sum over questions of log(1 + nats)
 """
 
 from __future__ import annotations
@@ -43,7 +38,6 @@ from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
 from sensorgraph.diagnosis.next_run.forecast import (
     DECIDED_NATS,
     EvidenceForecast,
-    EvidenceQuadratic,
     MotionSamples,
     OpenQuestion,
     planned_scans,
@@ -64,8 +58,6 @@ MIN_SAMPLES = 40
 """Minimum number of sample moments of a whole drive."""
 N_SAMPLES = 6
 """Number of sample moments of a motion; twice as many for a spin."""
-N_ALLOCATION_STEPS = 24
-"""Number of steps of the Frank-Wolfe method."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,36 +120,30 @@ def next_run(
     *,
     seed: int = 0,
     minutes: float = 2.0,
-    start: Floats | None = None,
 ) -> NextRun:
     """Plan the run that is expected to answer the questions best.
 
     Parameters
     ----------
     questions : Pairs of models to distinguish (see `open_questions`). The first counts most if they compete.
-    start : (3,) [m, m, rad] Where the robot stands; None: where the plan begins best.
 
     Raises
     ------
-    PlanError : There is no question, the robot cannot turn in place, or no motion can be reached.
+    PlanError : There is no question, the robot cannot turn in place, or it fits nowhere.
     """
     if not questions:
         raise PlanError("there is no question for a next run; give at least one pair of models")
     if not (np.isfinite(minutes) and minutes > 0):
         raise PlanError(f"minutes is {minutes}, expected a positive number")
-    space = DrivableSpace.of(arena, robot, start=start)
+    space = DrivableSpace.of(arena, robot)
     rng = np.random.default_rng(seed)
     duration = 60.0 * minutes
     motions = candidate_motions(space, rng)
     samples = [motion_samples(motion, robot, duration) for motion in motions]
-    scans = planned_scans(samples, arena, robot, duration)
-    forecasts = [EvidenceForecast(q, scans) for q in questions]
-    per_second = [forecast.per_second() for forecast in forecasts]
-    allocations = [
-        allocate_time(forecasts, per_second, duration, part)
-        for part in (slice(None), *_parts_by_kind(motions))
-    ]
-    drives = build_drives(space, motions, allocations, duration, start, seed)
+    score = np.log1p(expected_evidence(questions, samples, arena, robot, duration)).sum(axis=0)
+    of_kind = [np.array([m.kind is kind for m in motions]) for kind in MotionKind]
+    allocations = [score, *(np.where(own, score, 0.0) for own in of_kind if own.any())]
+    drives = build_drives(space, motions, allocations, duration, seed)
     random = [random_drive(space, rng, duration) for _ in range(N_RANDOM)]
     curves = [*(curve for curve, _ in drives), *random]
     nats, score = _rate(questions, curves, arena, robot, duration)
@@ -184,14 +170,6 @@ def next_run(
     )
 
 
-def _parts_by_kind(motions: Sequence[CandidateMotion]) -> list[slice]:
-    """Return a slice for each kind of motion; motions of one kind are adjacent."""
-    kinds = [motion.kind for motion in motions]
-    counts = [kinds.count(kind) for kind in dict.fromkeys(kinds)]
-    ends = np.cumsum(counts).tolist()
-    return [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
-
-
 def _rate(
     questions: Sequence[OpenQuestion], curves: Sequence[Curve], arena: Arena, robot: Robot, duration: float
 ) -> tuple[Floats, Floats]:
@@ -216,12 +194,10 @@ def expected_evidence(
     robot: Robot,
     duration: float,
 ) -> Floats:
-    """Return the expected evidence (n_questions, n_drives) [nats] of whole drives."""
+    """Return the expected evidence (n_questions, n_drives) [nats] of motions or whole drives."""
     out, scans = np.zeros((len(questions), len(drives))), planned_scans(drives, arena, robot, duration)
     for i, question in enumerate(questions):
-        forecast = EvidenceForecast(question, scans)
-        rates = forecast.per_second()
-        out[i] = [forecast.nats(rates[k] * drive.duration) for k, drive in enumerate(drives)]
+        out[i] = EvidenceForecast(question, scans).nats()
     return out
 
 
@@ -245,7 +221,7 @@ def motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> Mo
         twists = np.stack([np.zeros(n), omega], axis=1)
     golden = 0.618  # multiples of it modulo 1 fill 0 ... 1 evenly: samples are early and late in the run
     times: Floats = np.asarray(duration * ((np.arange(len(poses)) * golden) % 1.0))
-    return MotionSamples(poses=poses, twists=twists, times=times, duration=1.0)
+    return MotionSamples(poses=poses, twists=twists, times=times, duration=duration)
 
 
 def _drive_samples(curve: Curve) -> MotionSamples:
@@ -291,42 +267,3 @@ def _faced_wall(arena: Arena, motion: CandidateMotion) -> str:
     _, wall = cast_laser(arena.walls, pose, np.zeros(1), 1e4)
     index = int(wall[0, 0])
     return arena.names[index] if index >= 0 else "nothing"
-
-
-def allocate_time(
-    forecasts: Sequence[EvidenceForecast],
-    per_second: Sequence[EvidenceQuadratic],
-    duration: float,
-    allowed: slice,
-) -> Floats:
-    """Allocate the time of a run (n,) [s] among the `allowed` motions, by the Frank-Wolfe method.
-
-        time <- (1 - size) time + size duration e_best,   size = 2 / (step + 3)
-
-    e_best is the motion with the steepest gain (Frank and Wolfe, Naval Research Logistics Quarterly 3, 1956).
-    The logarithm in the objective gives each question a share of the time.
-
-    Parameters
-    ----------
-    per_second : Evidence of one second of each motion, for each question.
-    duration : [s] Of the run.
-    """
-    out = np.zeros(len(per_second[0].squares))
-    time = out[allowed]  # a view
-    some = [quadratics[allowed] for quadratics in per_second]
-    time[:] = duration / len(time)
-    totals = [quadratics.mean() * duration for quadratics in some]
-    for step in range(N_ALLOCATION_STEPS):
-        slope = np.zeros(len(time))
-        for forecast, quadratics, total in zip(forecasts, some, totals, strict=True):
-            x = forecast.refitted(total)
-            slope += quadratics.at(x) / (1.0 + max(float(total.at(x)), 0.0))
-        size = 2.0 / (step + 3.0)
-        best = int(slope.argmax())
-        time *= 1 - size
-        time[best] += size * duration
-        totals = [
-            total * (1 - size) + quadratics[best] * (size * duration)
-            for total, quadratics in zip(totals, some, strict=True)
-        ]
-    return out

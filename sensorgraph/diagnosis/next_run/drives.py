@@ -10,7 +10,6 @@ from scipy.sparse.csgraph import shortest_path
 
 from planners.arena import wrap
 from planners.curve import Curve, CurveBuilder
-from planners.errors import PlanError
 from planners.joins.paths import connect
 from sensorgraph.diagnosis.next_run.candidate_motions import (
     SWEEP_ANGLE,
@@ -43,25 +42,19 @@ def build_drives(
     motions: Sequence[CandidateMotion],
     allocations: Sequence[Floats],
     duration: float,
-    start: Floats | None,
     seed: int,
 ) -> list[Drive]:
     """Build drives from the motions with the most time, in versions with different numbers of motions and rounds.
 
     Parameters
     ----------
-    allocations : (n_motions,) [s] each, divisions of the time among the motions.
+    allocations : (n_motions,) each, shares of the time that motions get.
     duration : [s] Of a drive.
-    start : (3,) [m, m, rad] Where the robot stands; None: at the first motion.
-
-    Raises
-    ------
-    PlanError : No motion can be reached from the start.
     """
     out: list[Drive] = []
     seen = set()
-    for time in allocations:
-        order = np.argsort(-time)
+    for share in allocations:
+        order = np.argsort(-share)
         for count in COUNTS:
             for rounds in ROUNDS:
                 some = order[:count]
@@ -69,29 +62,27 @@ def build_drives(
                 if version in seen:
                     continue
                 seen.add(version)
-                builder = DriveBuilder(space, duration, start, seed)
-                used = builder.add([motions[k] for k in some], time[some] / time[some].sum(), rounds)
-                if used:
-                    out.append((builder.curve_builder.curve(), used))
-    if not out:
-        raise PlanError("no motion can be reached from the start; choose another start")
+                builder = DriveBuilder(space, duration, seed)
+                used = builder.add(
+                    [motions[k] for k in some], (share[some] + 1e-9) / (share[some] + 1e-9).sum(), rounds
+                )
+                out.append((builder.curve_builder.curve(), used))
     return out
 
 
 class DriveBuilder:
     """Builds a drive from consecutive motions, with the paths between them."""
 
-    def __init__(self, space: DrivableSpace, duration: float, start: Floats | None, seed: int) -> None:
-        self.space, self.duration, self.start, self.seed = space, duration, start, seed
+    def __init__(self, space: DrivableSpace, duration: float, seed: int) -> None:
+        self.space, self.duration, self.seed = space, duration, seed
         self.limits = space.robot.limits
         self.curve_builder = CurveBuilder(np.zeros(3), self.limits)
 
     def add(self, motions: Sequence[CandidateMotion], share: Floats, rounds: int) -> list[CandidateMotion]:
         """Add motions by their shares (n,) of the time, until no time is left; return those that were added."""
-        tour = _nearest_neighbour_tour([m.place for m in motions], self.start)
+        tour = _nearest_neighbour_tour([m.place for m in motions])
         first = motions[tour[0]]
-        begin = np.array([*first.place, first.heading]) if self.start is None else self.start
-        self.curve_builder = CurveBuilder(begin, self.limits)
+        self.curve_builder = CurveBuilder(np.array([*first.place, first.heading]), self.limits)
         visits = [k for turn in range(rounds) for k in (tour if turn % 2 == 0 else tour[::-1])]
         used: list[CandidateMotion] = []
         shares_left = float(rounds)
@@ -195,9 +186,9 @@ class DriveBuilder:
         return paths[0]
 
 
-def _nearest_neighbour_tour(places: Sequence[tuple[float, float]], start: Floats | None) -> list[int]:
+def _nearest_neighbour_tour(places: Sequence[tuple[float, float]]) -> list[int]:
     """Order places by always going to the nearest one next."""
-    here = np.array(places[0] if start is None else start[:2])
+    here = np.array(places[0])
     left, out = list(range(len(places))), []
     while left:
         nearest = min(left, key=lambda k, h=here: float(np.hypot(*(np.array(places[k]) - h))))  # type: ignore[misc]

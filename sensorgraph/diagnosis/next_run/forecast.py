@@ -4,16 +4,14 @@
 
 The nuisances g, with prior standard deviations tau, and the smooth parameters p of the wrong model are
 refitted; pose errors are eliminated. Each ray contributes half the squared difference of the two expected
-readings over the variance, and the Kullback-Leibler divergence of the return probabilities. At fixed x, the
-sum over scans is linear in time, so that the best allocation of time among motions is a concave problem
-(`design`).
+readings over the variance, and the Kullback-Leibler divergence of the return probabilities. All coefficients are
+proportional to time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -68,47 +66,6 @@ class MotionSamples:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EvidenceQuadratic:
-    """Evidence [nats] of a drive, or of a second of each of n motions, as a function of the refitted values x (k,).
-
-        constant + (squares - 2 right'x + x'matrix x) / 2
-
-    All coefficients are proportional to time. Of n motions, they have n as their first axis.
-    """
-
-    matrix: Floats
-    """(..., k, k) normal matrix."""
-    right: Floats
-    """(..., k) right-hand side of the normal equations."""
-    squares: Floats
-    """(...) sum of the weighted squared residuals at x = 0."""
-    constant: Floats
-    """(...) [nats] part that no refit reduces."""
-
-    def _each(self, change: Callable[[Floats], Any]) -> EvidenceQuadratic:
-        return EvidenceQuadratic(**{f.name: np.asarray(change(getattr(self, f.name))) for f in fields(self)})
-
-    def __getitem__(self, some: int | slice) -> EvidenceQuadratic:
-        return self._each(lambda values: values[some])
-
-    def __mul__(self, factor: float) -> EvidenceQuadratic:
-        return self._each(lambda values: values * factor)
-
-    def __add__(self, other: EvidenceQuadratic) -> EvidenceQuadratic:
-        return EvidenceQuadratic(
-            **{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
-        )
-
-    def mean(self) -> EvidenceQuadratic:
-        """Return the mean of the motions."""
-        return self._each(lambda values: values.mean(axis=0))
-
-    def at(self, x: Floats) -> Floats:
-        """Return the evidence (...) [nats] that remains at refitted values x (k,)."""
-        return np.asarray(self.constant + 0.5 * (self.squares - 2 * self.right @ x + (self.matrix @ x) @ x))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedScans(ScanData):
     """Planned scans, each with its own pose and twist. Questions share them and their casts."""
 
@@ -145,34 +102,26 @@ class EvidenceForecast:
         weight, constant = _weights(self.solver, truth, data, same_wall, variance_ratio)
         self.weight, self.constant = scans.rays_per_cast * weight, scans.rays_per_cast * constant
 
-    def per_second(self) -> EvidenceQuadratic:
-        """Return the evidence of one second of each motion."""
-        parts, begin = [], 0
+    def nats(self) -> Floats:
+        """Return the expected evidence (n_motions,) [nats] of each motion; see the module."""
+        out, begin = [], 0
         for motion in self.motions:
             rows = np.arange(begin, begin + len(motion.poses))
             begin += len(rows)
             solver = self.solver.of_scans(rows)
             system = solver.assemble(self.weight[rows], 1.0)
             w = np.where(solver.jacobian.valid, self.weight[rows], 0.0)
-            poses = np.einsum("ni,nij,nj->", system.start, system.poses, system.start)
-            squares, constant = (w * solver.y**2).sum() - poses, self.constant[rows].sum()
-            per_scan = self.rate / len(motion.poses)
-            parts.append([value * per_scan for value in (system.matrix, system.right, squares, constant)])
-        matrix, right, squares, constant = (np.stack(values) for values in zip(*parts, strict=True))
-        return EvidenceQuadratic(matrix=matrix, right=right, squares=squares, constant=constant)
-
-    def refitted(self, quadratic: EvidenceQuadratic) -> Floats:
-        """Return the nuisances and parameters (k,) at which the alternative fits best."""
-        g, p = boxed(
-            quadratic.matrix, quadratic.right, self.tau, SCAN.nuisance.max_tolerances * self.tau, self.locked
-        )
-        return np.concatenate([g, p])
-
-    def nats(self, quadratic: EvidenceQuadratic) -> float:
-        """Return the expected evidence [nats] of a whole run."""
-        x = self.refitted(quadratic)
-        prior = 0.5 * float(np.sum((x[: len(self.tau)] / self.tau) ** 2))
-        return max(float(quadratic.at(x)) + prior, 0.0)
+            squares = (w * solver.y**2).sum() - np.einsum(
+                "ni,nij,nj->", system.start, system.poses, system.start
+            )
+            scans = self.rate * motion.duration / len(rows)  # that each sample stands for
+            matrix, right = scans * system.matrix, scans * system.right
+            x = np.concatenate(
+                boxed(matrix, right, self.tau, SCAN.nuisance.max_tolerances * self.tau, self.locked)
+            )
+            left = scans * (self.constant[rows].sum() + 0.5 * squares) - right @ x + 0.5 * x @ matrix @ x
+            out.append(max(float(left + 0.5 * np.sum((x[: len(self.tau)] / self.tau) ** 2)), 0.0))
+        return np.array(out)
 
 
 def planned_scans(
