@@ -31,8 +31,6 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
-MORE_FAMILIES = 3
-"""Maximum number of families beside the first one whose joint error is the size."""
 TIMING = (ACTUATOR_LAG, DEAD_TIME)
 """Effects that delay the response of the motors to a command."""
 BEAT_TIME = 5.0
@@ -164,7 +162,7 @@ def with_structure(model: DriveModel, selected: MotorSelection) -> MotorSelectio
     model.tested = TestedStructure(families=dict(test.tested), threshold=EVIDENCE.threshold)
     if gain < EVIDENCE.threshold:
         return selected
-    size = model.error_without(here, test.explained(own, _all_significant(test, own, family, families)))
+    size = model.error_without(here, test.explained(own, [family]))
     is_material = stands_for_material or size.is_material(model.robot.limits.v, gain)
     changed = _coefficients(test, own, family) if family.least_change else np.zeros(0)
     if family.least_change:
@@ -198,23 +196,6 @@ def _coefficients(test: StructureTest, own: Floats, family: StructureFamily) -> 
     explained = test.explained(own, [family])
     found = np.linalg.lstsq(columns / scale, explained, rcond=None)[0] / scale
     return np.asarray(found[-family.columns.shape[1] :])
-
-
-def _all_significant(
-    test: StructureTest, own: Floats, first: StructureFamily, families: Sequence[StructureFamily]
-) -> list[StructureFamily]:
-    """Return the first family and those with enough evidence in addition to it; together they give the size.
-
-    One family alone may describe only a part: a dead zone is tried with commands that the base rounds, for example.
-    """
-    found = [first]
-    for _ in range(MORE_FAMILIES):
-        beside = np.concatenate([own, *(family.columns for family in found)], axis=1)
-        family, gain = test.best(beside, families)
-        if gain < EVIDENCE.threshold:
-            break
-        found.append(family)
-    return found
 
 
 def drive_nuisances(model: DriveModel, fit: DriveFit) -> Floats:
