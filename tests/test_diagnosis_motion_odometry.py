@@ -14,9 +14,8 @@ from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
 from sensorgraph.diagnosis.motion import whitening
-from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
+from sensorgraph.diagnosis.motion.odometry_channel import aligned_rows, diagnose_odometry
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
-from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
 from sensorgraph.diagnosis.motion.wheels.rows import motion_signals, rows_at
 from sensorgraph.diagnosis.motion.wheels.structure import odometry_families
 from sensorgraph.diagnosis.motion.whitening import WhiteningFilter

@@ -15,8 +15,7 @@ from logs.run import Run
 from planners.types import Floats
 from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.naming import name_motion_effects
-from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
-from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
+from sensorgraph.diagnosis.motion.odometry_channel import aligned_rows, diagnose_odometry
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.rows import motion_signals
 from sensorgraph.diagnosis.motion.wheels.sideways import sideways_rows

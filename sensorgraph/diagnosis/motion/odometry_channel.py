@@ -14,10 +14,16 @@ import numpy as np
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
-from sensorgraph.diagnosis.motion.wheels.clock import aligned_rows
 from sensorgraph.diagnosis.motion.wheels.model import WheelModel
 from sensorgraph.diagnosis.motion.wheels.report import odometry_result
-from sensorgraph.diagnosis.motion.wheels.rows import MotionSignals, motion_signals, rows_at
+from sensorgraph.diagnosis.motion.wheels.rows import (
+    AVERAGING_TIME,
+    MIN_ROWS,
+    MotionSignals,
+    OdometryRows,
+    motion_signals,
+    rows_at,
+)
 from sensorgraph.diagnosis.motion.wheels.selection import select
 from sensorgraph.diagnosis.motion.wheels.sideways import sideways_structure
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
@@ -27,6 +33,12 @@ from sensorgraph.world.robot import Robot
 
 MIN_CLOCK_SHIFT = 3e-4
 """[s] minimum change of the clock offset for which the rows are computed again."""
+MAX_CLOCK = 0.8
+"""[s] maximum clock offset of the search."""
+CLOCK_STEP = 0.025
+"""[s] step of the search."""
+MIN_CLOCK_OVERLAP = 5.0
+"""[s] minimum overlap for the search; otherwise it starts at a clock offset of 0."""
 WINDOW = 1.0
 """[s] Duration of the motions that are compared; long against the offset of a usual clock."""
 MIN_WINDOWS = 10
@@ -80,6 +92,71 @@ def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
     covariance = model.regression.clustered_covariance(fit, model.clusters)
     clock = model.layout.clock
     return rows.clock + float(fit.theta[clock]), float(np.sqrt(covariance[clock, clock]))
+
+
+def aligned_rows(signals: MotionSignals) -> OdometryRows:
+    """Return the rows at the clock offset of the coarse search; the regression has a column for what is left of it.
+
+    Raises
+    ------
+    ChannelSkippedError
+        Poses and odometry hardly overlap.
+    """
+    rows = rows_at(signals, coarse_offset(signals))
+    n = 0 if rows is None else int(rows.valid.sum())
+    if rows is None or n < MIN_ROWS:
+        raise ChannelSkippedError(
+            f"poses and odometry overlap in {n} tenths of a second, expected at least {MIN_ROWS}"
+        )
+    return rows
+
+
+def coarse_offset(signals: MotionSignals) -> float:
+    """Return the clock offset [s] at which turn rate and speed of wheels and reference agree best.
+
+        maximise over tau  - sum over t of (reference(t) - wheels(t + tau))² / power of the reference
+
+    The sum includes turn and distance. Aligning sensors by their turn rates is the method of Olson (2010), "A passive
+    solution to the sensor synchronization problem".
+    """
+    stamps, poses, wheels = signals.stamps, signals.poses, signals.wheels
+    reach, step, half = MAX_CLOCK, CLOCK_STEP, AVERAGING_TIME
+    first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
+    if last - first < MIN_CLOCK_OVERLAP:
+        return 0.0
+    grid = np.arange(first - reach, last + reach, step)
+    before, after = (
+        np.stack([np.interp(grid + d, stamps, column) for column in poses.T]) for d in (-half, half)
+    )
+    heading = np.interp(grid, stamps, poses[:, 2])
+    dx, dy, turn = after - before
+    distance = dx * np.cos(heading) + dy * np.sin(heading)
+    ends = np.append(wheels.start, wheels.end[-1])
+    margin = round(reach / step)
+    fit = np.zeros(round(2 * reach / step) + 1)
+    for of_reference, of_wheels in ((turn, wheels.turn), (distance, wheels.distance)):
+        total = np.concatenate([[0.0], np.cumsum(of_wheels)])
+        move = np.interp(grid + half, ends, total) - np.interp(grid - half, ends, total)
+        fit += _fit_by_shift(of_reference, move, margin, len(fit))
+    k = int(np.argmax(fit))
+    if not 0 < k < len(fit) - 1:
+        return 0.0
+    a, b, c = fit[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return float((k - margin + (0.5 * (a - c) / bend if bend < 0 else 0.0)) * step)
+
+
+def _fit_by_shift(reference: Floats, move: Floats, margin: int, n_shifts: int) -> Floats:
+    """Return minus the squared difference, divided by the power of the reference, for each shift (n_shifts,).
+
+    It is 0 if nothing moves.
+    """
+    inner = reference[margin : len(reference) - margin]
+    power = np.sum((inner - inner.mean()) ** 2)
+    if power < 1e-12:
+        return np.zeros(n_shifts)
+    # the odometry at t + tau corresponds to the reference at t
+    return np.array([-np.sum((inner - move[k : k + len(inner)]) ** 2) / power for k in range(n_shifts)])
 
 
 def counts_backwards(signals: MotionSignals) -> str:
