@@ -100,7 +100,7 @@ def external(html: str) -> list[str]:
 
 
 def test_files_of_a_found_effect_hold_what_the_interface_promises(saved: Path) -> None:
-    pictures = {"arena.png", "residuals.png", "next_run.png"}
+    pictures = {"arena.png", "residuals.png", "gap.png", "next_run.png"}
     assert {path.name for path in saved.iterdir()} == FILES | pictures  # nothing half-written is left
     report = json.loads((saved / "report.json").read_text())
     assert set(report) >= KEYS

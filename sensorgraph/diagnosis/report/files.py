@@ -22,7 +22,7 @@ from sensorgraph.diagnosis.report.comparison import ComparedScans, compare
 from sensorgraph.diagnosis.report.data import plain, to_dict
 from sensorgraph.diagnosis.report.figures.arena import arena_picture, marks, next_run_picture, wall_sections
 from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
-from sensorgraph.diagnosis.report.figures.residuals import profile_picture, residuals_picture
+from sensorgraph.diagnosis.report.figures.residuals import gap_picture, profile_picture, residuals_picture
 from sensorgraph.diagnosis.report.html import page
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
@@ -32,6 +32,7 @@ from sensorgraph.diagnosis.report.quantities import (
 )
 from sensorgraph.diagnosis.report.rerun_view import write as write_review
 from sensorgraph.diagnosis.report.summary import summarise
+from sensorgraph.diagnosis.result import Gap
 from sensorgraph.effects import effects_file
 from sensorgraph.files import atomic_folder, write_timing
 from sensorgraph.types import Progress
@@ -201,6 +202,8 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
         pictures["residuals"] = partial(residuals_picture, finding, compared)
     if scan is not None and scan.unknown is not None and scan.unknown.profile is not None:
         pictures["profile"] = partial(profile_picture, scan.unknown.profile)
+    if gaps := _gaps(finding):
+        pictures["gap"] = partial(gap_picture, gaps, finding.second_gap)
     if finding.driving is not None:
         pictures["calibration"] = partial(calibration_picture, finding.driving.runs)
     if finding.next_run is not None:
@@ -210,3 +213,11 @@ def draw_all(finding: Finding, compared: ComparedScans | None, folder: Path) -> 
     for name, draw in pictures.items():
         draw(files[name])
     return files
+
+
+def _gaps(finding: Finding) -> dict[str, Gap]:
+    """Return the gaps to draw: channels with an effect first, then the scan channel."""
+    measured = {name: result for name, result in finding.channels.items() if result.gap is not None}
+    first = [n for n, result in measured.items() if result.effects or result.unknown is not None]
+    names = dict.fromkeys([*first, *(n for n in measured if n == "scan")]) or dict.fromkeys(measured)
+    return {name: gap for name in names if (gap := measured[name].gap) is not None}

@@ -60,7 +60,7 @@ def page(
     summary = summarise(finding)
     body = [
         _arena_section(finding, pictures),
-        _tolerances_section(finding),
+        _gap_section(finding, pictures),
         _effects_section(finding),
         _profile_section(pictures),
         _rivals_section(finding),
@@ -97,7 +97,19 @@ def _arena_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     return f"<h2>{title}</h2>{picture(pictures['arena'], 'Residuals in the arena', caption)}"
 
 
-def _tolerances_section(finding: Finding) -> str:
+def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
+    gap = finding.channels["scan"].gap if "scan" in finding.channels else None
+    rays = f" ({gap.n_rays:,} rays)" if gap is not None else ""
+    caption = (
+        f"Measured on held-out readings{rays}; map and poses may shift within their tolerances, before and after. "
+        "Noise floor: the gap of readings drawn from the amended model. Right: negative log-likelihood per reading; smaller "
+        "is better."
+    )
+    text = _scales_text(finding) + picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
+    return f"<h2>Size of the gap</h2>{text}" if text else ""
+
+
+def _scales_text(finding: Finding) -> str:
     """Report the tolerances of map, reference poses and stamps in the fit, as multiples of the specified ones."""
     if finding.explained is None:
         return ""
@@ -113,11 +125,8 @@ def _tolerances_section(finding: Finding) -> str:
         if factor >= 1.01
     )
     if not listed:
-        return (
-            "<h2>Tolerances</h2><p>The specified tolerances of map, reference poses and stamps suffice.</p>"
-        )
-    limit = SCAN.nuisance.stretched_scale
-    return f"<h2>Tolerances</h2><p>The fit needs {listed}. Above {limit:g} times, a tolerance counts as wrong.</p>"
+        return "<p>The specified tolerances of map, reference poses and stamps suffice.</p>"
+    return f"<p>Tolerances that the fit needs: {listed}. Above {SCAN.nuisance.stretched_scale:g} times, a tolerance counts as wrong.</p>"
 
 
 def _effects_section(finding: Finding) -> str:
