@@ -2,21 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-from conftest import polygon_arena
-from test_diagnosis_scan import drive
-
-from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
-from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.model_selection import explain
-from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import Candidate
-from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.shortlist import shortlist
+from sensorgraph.diagnosis.scan.search_memory import FirstGains
 from sensorgraph.effects import EFFECTS
-from sensorgraph.world.robot import parse_robot
-
-PLANTED = (EFFECTS["random_outliers"](p=0.03), EFFECTS["range_bias"](b=0.05), EFFECTS["max_range"](R=3.2))
 
 
 def hidden(at: float, gain: float) -> Candidate:
@@ -48,32 +36,3 @@ def test_what_is_not_compared_stands() -> None:
     first.compare([], is_first=False)
     assert first.has(hidden(0.2, 300.0))
     assert not first.has(Candidate(amendment=EFFECTS["range_bias"](b=0.02), gain=300.0))
-
-
-def hall_scans() -> ScanData:
-    """Scans of a hall with a box and a wedge, with three effects of the laser."""
-    hall = polygon_arena(
-        [(0, 0), (6, 0), (6, 5), (0, 5)],
-        [(2.0, 3.0), (2.6, 3.0), (2.6, 3.5), (2.0, 3.5)],
-        [(4.0, 1.0), (4.5, 1.2), (4.3, 1.7)],
-    )
-    data, _ = prepare_scans(drive(hall, PLANTED, seed=1), hall, parse_robot("sensor: {n_rays: 61}"), ())
-    return data
-
-
-@pytest.mark.slow
-def test_what_was_removed_from_the_model_is_not_proposed_again() -> None:
-    data = hall_scans()
-    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=2, inner=4)
-    proposed = {name_at_place(c.amendment) for c in shortlist(data, null, 0.0, FirstGains())}
-    best = name_at_place(PLANTED[2])
-    assert best in proposed
-    again = {name_at_place(c.amendment) for c in shortlist(data, null, 0.0, FirstGains(), {best})}
-    assert best not in again
-    assert proposed - {best} <= again
-
-
-@pytest.mark.slow
-def test_the_search_finds_three_effects_of_the_laser() -> None:
-    final = explain(hall_scans(), NoiseBounds()).final
-    assert {name_at_place(a) for a in final.model} == {name_at_place(a) for a in PLANTED}

@@ -23,12 +23,12 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.map_depth import raster_map_of
 from sensorgraph.diagnosis.raster_map import without_unknown_space
 from sensorgraph.diagnosis.scan.candidate_fits import is_rough, searched
-from sensorgraph.diagnosis.scan.first_gains import FirstGains
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import shortlist
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
@@ -283,7 +283,7 @@ def clutter_gains(
     """
     gains: dict[str, float] = {}
     sizes: dict[str, tuple[float, dict[str, float]]] = {}
-    proposed = [candidate.amendment for candidate in shortlist(data, null, 0.0, FirstGains())]
+    proposed = [candidate.amendment for candidate in shortlist(data, null, 0.0, SearchMemory())]
     names = {amendment.name for amendment in proposed}
     for amendment in (*proposed, *unproposed(data, names)):
         got = fit(data, (amendment,), null.state, bounds, outer=3, inner=3)

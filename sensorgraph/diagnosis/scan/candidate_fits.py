@@ -15,7 +15,9 @@ from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, polish, start
 from sensorgraph.diagnosis.scan.materiality import is_short_of_pixels
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.shortlist import least_gain
 from sensorgraph.diagnosis.scan.worth import evidence, price, surely_stands, worth
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.places import named_walls
@@ -27,12 +29,20 @@ logger = logging.getLogger(__name__)
 class CandidateFits:
     """Fits of a round, each to the model so far with one candidate."""
 
-    def __init__(self, data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> None:
+    def __init__(
+        self,
+        data: ScanData,
+        current: Fitted,
+        noise_bounds: NoiseBounds,
+        memory: SearchMemory,
+        gained: float,
+    ) -> None:
         noise = current.state.noise
         stretched = current.state.stretch > SCAN.nuisance.stretched_scale
         self.is_strained = noise_bounds.max_scale > 1.0 and (stretched or noise.core > SCAN.sweep.max_core)
         """Whether widened tolerances may hide an effect. All fits then start at the specified ones."""
-        self.data, self.current, self.noise_bounds = data, current, noise_bounds
+        self.data, self.current, self.noise_bounds, self.memory = data, current, noise_bounds, memory
+        self._gained = gained
         self.quick: list[tuple[float, Fitted]] = []
         """Gains [nats] and fits to a part of the scans."""
         self.behind: list[tuple[Amendment, float]] = []
@@ -46,11 +56,24 @@ class CandidateFits:
         """[nats] Largest gain of the fits to a part of the scans."""
         return max((gain for gain, _ in self.quick), default=-math.inf)
 
+    def has_sure_winner(self) -> bool:
+        """Return whether an effect surely enters the model, even if the fit to all scans gains less."""
+        if not self.memory.is_lazy or not self.quick:
+            return False
+        _, got = max(self.quick, key=lambda pair: pair[0])
+        least = least_gain(self.current.model, got.model[-1], self._gained, stood=False)
+        return self._limit(SCAN.selection.finalist_share) >= max(SCAN.selection.threshold, least)
+
     def add(self, candidates: Sequence[Candidate], tick: Progress) -> None:
-        """Fit candidates to a part of the scans."""
+        """Fit candidates to a part of the scans, except for those whose earlier gain is far behind the best."""
         few = thin(self.data, self._every)
-        for done, candidate in enumerate(candidates):
+        for done, candidate in enumerate(self.memory.most_promising_first(candidates)):
             tick(done, len(candidates))
+            bound = self.memory.bound(candidate)
+            if self.has_sure_winner() and bound < self._limit(SCAN.selection.searched_share):
+                self.behind.append((candidate.amendment, bound))
+                self.memory.has_passed = True
+                continue
             self._fit(few, candidate)
 
     def _fit(self, few: ScanData, candidate: Candidate) -> None:
@@ -65,6 +88,7 @@ class CandidateFits:
             return
         gain = evidence(few, got.model[-1], got, self._base) * self._every
         gain -= price(candidate.amendment, self.data)
+        self.memory.note(candidate, gain)
         self.quick.append((gain, got))
 
     def _limit(self, share: float) -> float:

@@ -17,11 +17,15 @@ import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import select
 from sensorgraph.diagnosis.scan.candidate_fits import CandidateFits, is_rough, ranked, searched
-from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
-from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.fit import (
+    Fitted,
+    fit,
+    start_state,
+)
 from sensorgraph.diagnosis.scan.gauss_newton import State
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import is_same, least_gain, shortlist
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
@@ -100,9 +104,7 @@ class EffectSearch:
         self.steps: list[Step] = []
         self.rivals: dict[str, tuple[Amendment, float]] = {}
         """Effect at its place -> the second best explanation when it entered, and its deficit [nats]."""
-        self._first = FirstGains()
-        self._struck: set[str] = set()
-        """Effects at their places that were removed from the model."""
+        self._memory = SearchMemory()
         self._chosen = self._before = self.null
         self._n_small = 0
         self._rests: dict[int, Fitted] = {}
@@ -111,34 +113,39 @@ class EffectSearch:
     @property
     def expected(self) -> Mapping[str, Candidate]:
         """Name of each effect -> its best start in the last round, whether or not it was fitted."""
-        return self._first.latest
+        return self._memory.first.latest
 
     def best(self, model: Sequence[Amendment]) -> tuple[Amendment, float] | None:
         """Return the best further effect and its evidence [nats], in as many rounds of fits as this needs."""
+        memory = self._memory
         while not self._has_ended():
             begun = self.current.j
             with self.progress(f"trying effects, round {len(self.steps) + 1}", "candidates") as tick:
                 tried, also = self._try(tick)
             if not tried:
-                return None
+                if not memory.repeat_in_full():
+                    return None
+                continue
             order = ranked(self.data, tried)
             self._chosen, gain = order[0]
             effect = self._chosen.model[-1]
             if gain >= self.threshold:
                 gain = self._against_refitted()
-            stood = self._first.still_has(effect)
+            stood = memory.first.still_has(effect)
             least = least_gain(self.current.model, effect, self._gained, stood)
             enough = gain >= max(self.threshold, least)
             weighed = _best_of_each([*((f.model[-1], g) for f, g in order), *also])
             self.steps.append(Step(tried=weighed, chosen=effect.name if enough else ""))
             if enough:
+                memory.is_lazy = True
                 mine = name_at_place(effect)
                 others = [*((f.model[-1], g) for f, g in order[1:]), *also]
                 others = [(a, order[0][1] - g) for a, g in others if name_at_place(a) != mine]
                 if others:
                     self.rivals[mine] = min(others, key=lambda t: t[1])
                 return effect, gain
-            if self.current.j <= begun + self.threshold:
+            had_converged = self.current.j <= begun + self.threshold
+            if had_converged and not memory.repeat_in_full():
                 return None
         return None
 
@@ -149,22 +156,22 @@ class EffectSearch:
 
     def _try(self, tick: Progress) -> tuple[list[tuple[Fitted, float]], list[tuple[Amendment, float]]]:
         """Fit the most promising candidates; return (fit, gain [nats]), and (effect, gain) of those far behind."""
-        data, current = self.data, self.current
-        candidates = self._shortlist(current)
-        fits = CandidateFits(data, current, self.noise_bounds)
+        data, current, memory = self.data, self.current, self._memory
+        memory.begin()
+        candidates = shortlist(data, current, self._gained, memory)
+        fits = CandidateFits(data, current, self.noise_bounds, memory, self._gained)
         fits.add(candidates, tick)
         if fits.is_strained:  # widened tolerances may hide an effect, so search again with the specified ones
-            told = replace(self.noise_bounds, max_scale=1.0)
-            tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
-            known = {name_at_place(a) for a in current.model}
-            more = [c for c in self._shortlist(tight) if name_at_place(c.amendment) not in known]
-            more = [c for c in more if not any(is_same(c, o) for o in candidates)]
+            if memory.at_specified is not None and fits.has_sure_winner():
+                memory.has_passed = True
+            else:
+                told = replace(self.noise_bounds, max_scale=1.0)
+                tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
+                memory.at_specified = shortlist(data, tight, self._gained, memory)
+            more = [c for c in memory.specified(current.model) if not any(is_same(c, o) for o in candidates)]
             fits.add(more[: SCAN.selection.max_candidates // 2], tick)
         fits.search()
         return fits.to_all_scans(), fits.behind
-
-    def _shortlist(self, fitted: Fitted) -> list[Candidate]:
-        return shortlist(self.data, fitted, self._gained, self._first, self._struck)
 
     def _against_refitted(self) -> float:
         """Return the evidence [nats] of the chosen effect over the present model, fitted again from its state."""
@@ -190,7 +197,7 @@ class EffectSearch:
         """Take the fit without the effect, which is not tried again."""
         (index,) = (k for k, a in enumerate(self.current.model) if all(a is not one for one in model))
         gone = self.current.model[index]
-        self._struck.add(name_at_place(gone))
+        self._memory.struck.add((gone.name, gone.place))
         self._take(self._rests[index], model)
 
     def _take(self, fitted: Fitted, model: list[Amendment]) -> None:

@@ -6,14 +6,14 @@ An effect evaluates the residuals where it would show (`Diagnostics.propose`), o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
-from sensorgraph.diagnosis.scan.first_gains import FirstGains, name_at_place
 from sensorgraph.diagnosis.scan.fit import Fitted, log_likelihood, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
+from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.worth import surely_stands
 from sensorgraph.effects import EFFECTS, Amendment, Effect
@@ -30,22 +30,21 @@ def shortlist(
     data: ScanData,
     current: Fitted,
     gained: float,
-    first: FirstGains,
-    struck: Collection[str] = (),
+    memory: SearchMemory,
 ) -> list[Candidate]:
     """Return the candidates to fit, best first.
 
     Parameters
     ----------
     gained : [nats] Gain of the model so far; the remainders that its effects may leave are a share of it.
-    first : Gains expected in the bare model are stored there, and dropped when they change.
-    struck : Effects at their places that are not proposed again.
+    memory : Gains expected in the bare model are stored there, and dropped when they change.
     """
     smooth = smooth_candidates(data, current)
     sharp = [c for c in smooth if c.gain > PROPOSAL.min_gain]
     rough = proposed_candidates(FitResiduals(data, current))
     if data.clutter_nats:
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))
+    first = memory.first
     first.compare((*sharp, *rough), is_first=not current.model)
     first.note((*smooth, *rough))
     present = {name_at_place(a) for a in current.model}
@@ -58,7 +57,7 @@ def shortlist(
             single = c.amendment.effect.place is None
             if key in present and (single or c.amendment.effect.place in ("wall", "obstacle")):
                 continue
-            if key in struck:
+            if (c.amendment.name, c.amendment.place) in memory.struck:
                 continue
             if not data.may_show(c.amendment.effect, c.amendment.place):
                 continue
