@@ -59,7 +59,7 @@ SHARE = re.compile(
 NOT_OF_ANSWERS = {"held_out", "observability", "site"}
 """Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
 OF_MATHEMATICS = {
-    "CHI2_MEDIAN_1", "CHI2_MEDIAN_3", "GOLDEN_RATIO", "MEDIAN_OF_NORMAL", "SIGMA_OF_MAD", "ROUND_OFF",
+    "CHI2_MEDIAN_1", "CHI2_MEDIAN_3", "GOLDEN_RATIO", "SIGMA_OF_MAD", "ROUND_OFF",
 }  # fmt: skip
 """Constants that nobody has tuned."""
 NOT_ASKED = re.compile(r"settings|calibration|\.site_")

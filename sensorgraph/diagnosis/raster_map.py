@@ -331,7 +331,7 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
     for k in range(1, n + 1):
         rays = label == k
         share = float(rays.sum()) / n_readings
-        if share < MIN_SHARE or len(np.unique(scan[rays])) < SCAN.goodness_of_fit.min_odd_scans:
+        if share < MIN_SHARE or len(np.unique(scan[rays])) < SCAN.goodness_of_fit.min_blocks:
             continue
         fullest = np.unravel_index(np.where(labels == k, count, 0).argmax(), count.shape)
         if seen.share(kind, low + CELL * (np.array(fullest) + 0.5)) < MIN_SHOWN[kind]:

@@ -19,6 +19,7 @@ from sensorgraph.diagnosis.motion.wheels.report import odometry_result
 from sensorgraph.diagnosis.motion.wheels.rows import (
     AVERAGING_TIME,
     MIN_ROWS,
+    WINDOW,
     MotionSignals,
     OdometryRows,
     motion_signals,
@@ -39,8 +40,6 @@ CLOCK_STEP = 0.025
 """[s] step of the search."""
 MIN_CLOCK_OVERLAP = 5.0
 """[s] minimum overlap for the search; otherwise it starts at a clock offset of 0."""
-WINDOW = 1.0
-"""[s] Duration of the motions that are compared; long against the offset of a usual clock."""
 MIN_WINDOWS = 10
 """Minimum number of windows for a statement."""
 CERTAIN = 0.8

@@ -298,7 +298,8 @@ class GoodnessOfFitSettings:
     min_rays: int = 40
     """Minimum number of rays in a bin, and of scans for an estimate of the dispersion."""
     min_blocks: int = 5
-    """Minimum number of blocks in a bin."""
+    """Minimum number of blocks in a bin, of scans away from their poses, and of scans that show a change of a map; fewer are
+    single faults."""
     max_listed: int = 24
     """Maximum number of deviations that are listed before effects are named."""
     min_z: float = 4.5
@@ -319,9 +320,6 @@ class GoodnessOfFitSettings:
     min_ratio_of_scans: float = 2.0
     """Minimum ratio of their gain to that of a replicate. The reference error within a sweep is known to a
     third of its size, and gains grow with its square."""
-    min_odd_scans: int = 5
-    """Minimum number of scans away from their poses, or of those that show a change of a map; fewer are single
-    faults."""
     min_share_of_gain: float = 0.003
     """Share of the model's gain below which a misfit is attributed to a correct but coarse model."""
     max_dispersion: float = 1.45

@@ -13,20 +13,19 @@ import numpy as np
 
 from logs.run import RangeSensor, Run
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Tolerances
 
 MIN_SHARE = 0.01
 """Minimum share of the reference variance within a sweep. A smaller share is below a tenth of the pose error,
 and is ignored."""
-MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
 
 
 def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> tuple[float, float]:
     """Estimate the standard deviation of the reference error within a sweep [m, rad].
 
-        noise = median |Δ² pose| / (0.6745 sqrt(6)),   wobble = sqrt(share) noise
+        noise = 1.4826 median |Δ² pose| / sqrt(6),   wobble = sqrt(share) noise
 
     Second differences of the poses contain six times the variance of noise that is independent in every pose,
     and hardly any motion. They contain less of correlated noise, and so do sweeps. The median excludes starts and
@@ -39,7 +38,7 @@ def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> t
         return 0.0, 0.0
     unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
     bent = np.abs(np.diff(unwrapped, n=2, axis=0))
-    noise = np.median(bent, axis=0) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
+    noise = SIGMA_OF_MAD * np.median(bent, axis=0) / np.sqrt(6.0)
     x, y, phi = np.minimum(noise, [tolerances.pose_xy, tolerances.pose_xy, tolerances.pose_yaw])
     return float(np.sqrt(share) * max(x, y)), float(np.sqrt(share) * phi)
 

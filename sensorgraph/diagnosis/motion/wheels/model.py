@@ -51,7 +51,7 @@ CLOCK_TOLERANCE_SHARE = 0.6
 CLOCK_TOLERANCE_RANGE = (0.0015, 0.0035)
 """[s] minimum and maximum of that standard deviation."""
 RIM = 0.02
-"""[m] width of the edge of a patch: about the length of an increment."""
+"""[m] width of the edge of a patch, and minimum standard error of its place: about the length of an increment."""
 MARKER_SIGMA = 0.003
 """[m] standard deviation of the distance between the axle and the base_link of the reference."""
 MAX_CLOCK_SHIFT = 0.02

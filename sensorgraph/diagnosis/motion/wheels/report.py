@@ -16,8 +16,9 @@ from sensorgraph.diagnosis.motion.report import (
     fit_quality,
 )
 from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure
-from sensorgraph.diagnosis.motion.wheels.model import WheelModel, price
+from sensorgraph.diagnosis.motion.wheels.model import RIM, WheelModel, price
 from sensorgraph.diagnosis.motion.wheels.patch_search import PATCH_PRICE, best_patch, gains_of_discs
+from sensorgraph.diagnosis.motion.wheels.rows import WINDOW
 from sensorgraph.diagnosis.motion.whitening import both_kinds
 from sensorgraph.diagnosis.result import ChannelResult, FitQuality, Gap, MotionDifference
 from sensorgraph.effects import Amendment, Effect
@@ -25,16 +26,12 @@ from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-RMSE_WINDOW = 1.0
-"""[s] averaging time of the speeds in the gap."""
 EVEN_PART = 0.5
 """Share of the contribution of a whole-run effect, above which structure takes its name."""
 STAMP_AVERAGING = 8.0
 """Ratio of the tolerance of one stamp to the error of the mean over a run."""
 MIN_DISTANCE = 1.0
 """[m] minimum path for a slip to be observable."""
-MIN_PLACE_ERROR = 0.02
-"""[m] minimum standard error of a patch's place."""
 
 
 def odometry_result(
@@ -136,7 +133,7 @@ def _slip(model: WheelModel, i: int, share: float, error: float) -> Amendment:
     patch = model.patches[i]
     width = np.sqrt(np.diag(patch.covariance))
     stderr = {"s": float(np.hypot(error, width[0]))} | {
-        key: float(np.hypot(w, MIN_PLACE_ERROR)) for key, w in zip("xyr", width[1:], strict=True)
+        key: float(np.hypot(w, RIM)) for key, w in zip("xyr", width[1:], strict=True)
     }
     slip = WHEEL_SLIP(s=float(np.clip(share, 0, 1)), x=patch.x, y=patch.y, r=patch.r)
     return replace(slip, stderr=stderr).at(xy=(patch.x, patch.y))
@@ -206,7 +203,7 @@ def _quality(model: WheelModel, residual: Floats) -> FitQuality:
     """Return the quality of a residual (2 n,), with RMS speeds over a second."""
     rows = model.rows
     step = float(np.median(np.diff(rows.stamps)))
-    m = max(1, round(RMSE_WINDOW / step))
+    m = max(1, round(WINDOW / step))
     k = rows.n // m
     use = rows.masked(residual)
     rates = [part[: k * m].reshape(k, m).sum(axis=1) / (m * step) for part in both_kinds(use, rows.n)]

@@ -38,8 +38,9 @@ MIN_POSES = 10
 """Minimum number of poses during the odometry."""
 FEW_INCREMENTS = 0.995
 """Quantile of the number of increments per row that rows have space for; rows with more are not valid."""
-HEADING_WINDOW = 1.0
-"""[s] averaging time of the offset between the headings of reference and wheels."""
+WINDOW = 1.0
+"""[s] averaging time of speeds in the gap, of the offset between the headings of reference and wheels, and of motions that
+are compared; long against the offset of a usual clock."""
 AVERAGING_TIME = 0.1
 """[s] over which reference poses are averaged."""
 MIN_TRAVEL = 0.02
@@ -115,7 +116,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     # headings follow the wheels, corrected by the reference averaged over a second
     total = np.concatenate([[0.0], np.cumsum(wheels.turn)])
     offset = averages[:, 2] - np.interp(t, ends, total).mean(axis=1)
-    offset = _moving_average(offset, HEADING_WINDOW / (m * period))
+    offset = _moving_average(offset, WINDOW / (m * period))
     heading = np.interp(middle, ends, total) + np.interp(middle, centre, offset)
     phi = np.interp(border, ends, total) + np.interp(border, centre, offset)
     step = np.diff(averages, axis=0)

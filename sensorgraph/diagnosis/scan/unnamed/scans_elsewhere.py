@@ -49,7 +49,7 @@ class Elsewhere:
     @property
     def is_likely(self) -> bool:
         """Whether the likelihood supports it, after the complexity penalty, in more than single scans."""
-        is_enough = self.is_odd.sum() >= SCAN.goodness_of_fit.min_odd_scans
+        is_enough = self.is_odd.sum() >= SCAN.goodness_of_fit.min_blocks
         return bool(self.gain > SCAN.selection.threshold + _price() and is_enough)
 
 
