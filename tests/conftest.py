@@ -8,6 +8,7 @@ import signal
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -64,12 +65,21 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-@pytest.fixture
-def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextmanager
+def without_pictures() -> Iterator[None]:
     """Let plans and reports be written without pictures, which take a third of the time: where none is looked at."""
-    monkeypatch.setattr("sensorgraph.diagnosis.report.files.draw_all", lambda *_: {})
-    for name in ("plan_picture", "reach_picture", "headings_picture"):
-        monkeypatch.setattr(f"sensorgraph.planning.plan_folder.{name}", lambda *_: None)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr("sensorgraph.diagnosis.report.files.draw_all", lambda *_: {})
+        for name in ("plan_picture", "reach_picture", "headings_picture"):
+            monkeypatch.setattr(f"sensorgraph.planning.plan_folder.{name}", lambda *_: None)
+        yield
+
+
+@pytest.fixture
+def no_pictures() -> Iterator[None]:
+    """Let a test write no pictures; fixtures of a module use `without_pictures`."""
+    with without_pictures():
+        yield
 
 
 @pytest.fixture(scope="session")

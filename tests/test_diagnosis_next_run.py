@@ -131,6 +131,7 @@ def test_evidence_grows_with_the_size_of_the_effect_and_with_time(arena: Arena, 
     assert got[1] > 3 * got[0]  # at least quadratic: nuisances in their boxes take a constant part
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_folder_is_written_that_record_can_drive(
     tmp_path: Path, chosen: dict[str, NextRun], arena: Arena, robot: Robot
 ) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from conftest import without_pictures
 from planners_samples import outlined
 
 from planners.arena import wrap
@@ -31,7 +32,8 @@ def plans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "room.geojson").write_text(geojson.dumps(outlined(shapely.box(0, 0, 2, 1.5))))
     for name, planner in (("stops", "stop_and_spin"), ("drift", "coverage")):
         options = ["--planner", planner, "--cell", "0.5", "--headings", "8", "-o", str(folder / name)]
-        assert cli(["plan", str(folder / "room.geojson"), *options]) == 0
+        with without_pictures():
+            assert cli(["plan", str(folder / "room.geojson"), *options]) == 0
     return folder
 
 

@@ -80,6 +80,7 @@ def test_a_run_whose_poses_lie_elsewhere_is_refused(tmp_path: Path) -> None:
         driven_poses(read(run), shipped("square"))
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_run_is_resumed_with_its_own_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = "{name: rover, footprint_radius: 0.3}"
     run = recorded(tmp_path / "run.mcap", DRIVE, shipped("square"), robot)

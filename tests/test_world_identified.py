@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from conftest import without_pictures
 
 import logs
 from logs.run import RangeSensor, Run
@@ -171,7 +172,8 @@ def folder(graph: Sensorgraph, room: Arena, robot: Robot, tmp_path_factory: pyte
         "name: small\nsensor: {n_rays: 61, mount: [0.1, 0.02, 0.01]}\nfootprint_radius: 0.15\n"
     )
     made = make_plan(room, robot, planner="wall_following", duration=40, seed=0, rate=10.0)
-    save(made, folder / "plan", room, robot)
+    with without_pictures():
+        save(made, folder / "plan", room, robot)
     return folder
 
 
@@ -255,6 +257,7 @@ def test_mistakes_are_one_line(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_the_robot_of_a_plan_gets_the_laser_of_the_graph(
     folder: Path, room: Arena, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
