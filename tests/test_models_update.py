@@ -183,7 +183,7 @@ def sweeping(run: Run) -> Run:
 def test_cells_of_an_update_are_those_of_all_runs(sweeps: bool, room: Arena, tmp_path: Path) -> None:
     runs = [drive(room, FEW_RAYS, 60, seed) for seed in (1, 2)]
     runs = [sweeping(run) for run in runs] if sweeps else runs
-    whole, first = build(runs, model="cells", cell=0.1), build(runs[:1], model="cells", cell=0.1)
+    whole, first = build(runs, model="cells", cell=0.2), build(runs[:1], model="cells", cell=0.2)
     assert can_update(first)
     first.save(tmp_path / "first")
     updated = build(runs[1:], update=Sensorgraph.load(tmp_path / "first"))
