@@ -95,3 +95,15 @@ def test_scans_with_wrong_stamps_are_no_fault_of_the_odometry_and_slip_is_one(
     for x in way:
         health._steps.append((np.array([0.1, 0.0, 0.01]), np.array([x, 0.0, 0.01])))
     assert [doubt.name for doubt in health._of_steps() if doubt.p > 0.5] == names
+
+
+def test_more_scans_of_the_same_way_are_no_more_degrees_of_freedom() -> None:
+    """A bump of the floor shows in each of them; only further driving shows whether it was one."""
+    freedoms = []
+    for n in (100, 400):
+        found, pose, step = OdometryErrors(), np.zeros(3), np.array([10.0 / n, 0.0, 0.0])
+        for _ in range(n + 1):
+            found.add(step, np.array([0.5, 0.0]), pose)
+            pose = compose(pose, step)
+        freedoms.append(found.freedom)
+    assert freedoms == pytest.approx([30.0 - len(DISTANCE_FAULTS)] * 2)

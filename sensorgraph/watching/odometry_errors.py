@@ -60,8 +60,8 @@ class OdometryErrors:
         self.has_pose = False
         self.scale, self.n = np.ones(len(LEVELS)), 0
         """(n_levels,) Mean squared normalised innovation of one coordinate, over the last 100."""
-        self.weight = 0.0
-        """Number of independent poses."""
+        self.driven = 0.0
+        """[m + rad]"""
 
     def add(self, step: Floats, twist: Floats, tracked: Floats, weight: float = 1.0) -> float:
         """Take a step (3,) of the odometry, the twist (2,) and the tracked pose (3,); return the squared innovation.
@@ -74,7 +74,7 @@ class OdometryErrors:
             self._begin(twist, tracked)
             return 0.0
         self._move(step)
-        self.weight += weight
+        self.driven += float(np.hypot(step[0], step[1]) + abs(step[2]))
         return self._correct(twist, tracked, POSE_NOISE**2 / max(weight, 1e-3))
 
     @property
@@ -117,8 +117,12 @@ class OdometryErrors:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom of the standard errors: three values of each independent pose, less what was fitted."""
-        return max(3.0 * self.weight - N_ERRORS, 1.0)
+        """Degrees of freedom of the standard errors: three values of each metre and radian, less what was fitted.
+
+        Single bumps average out over these: on the Intel log, estimates after 1.8, 5.3 and 14 m and rad have the tails of 3, 5 and
+        8 degrees of freedom, the last within a factor of 3.
+        """
+        return max(3.0 * self.driven - N_ERRORS, 1.0)
 
     def _move(self, step: Floats) -> None:
         phi, e_d, e_t, k, a = self.mean[:, 2:7].T
