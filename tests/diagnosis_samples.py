@@ -37,7 +37,7 @@ def profile(rng: np.random.Generator, duration: float) -> Floats:
 
 
 @cache
-def make_run(seed: int, *, duration: float = 60.0, memory: float = 0.0, **effect: Any) -> Run:
+def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect: Any) -> Run:
     """Drive and log; effects: radius, diff, base, slip=(s, x, y, r), track [m] between the wheels that slip by themselves, clock, lag, dead, v_max; memory of the camera.
 
     Some that the library lacks: `scrub`, the body loses so many metres per radian that it turns; `sag`, the wheels lose

@@ -65,8 +65,8 @@ def test_slippery_patch_is_found_where_it_is(track: float) -> None:
 @pytest.mark.parametrize("seed", [4, *further(5)])
 def test_the_same_floor_does_not_slip_twice(seed: int) -> None:
     """Poses that a filter has smoothed, as those of a localization, blur the rim of a patch: no second one mends it."""
-    spot, window = make_run(seed, duration=80.0).poses[600], 9
-    run = make_run(seed, duration=80.0, slip=(0.3, spot[0], spot[1], 0.5), track=ROBOT.wheels.base)
+    spot, window = make_run(seed).poses[600], 9
+    run = make_run(seed, slip=(0.3, spot[0], spot[1], 0.5), track=ROBOT.wheels.base)
     poses = np.column_stack([run.poses[:, :2], np.unwrap(run.poses[:, 2])])
     wide = np.pad(poses, ((window // 2, window // 2), (0, 0)), "edge")
     smooth = np.column_stack([np.convolve(c, np.ones(window) / window, "valid") for c in wide.T])
