@@ -148,20 +148,23 @@ def _normal(p: Floats, a: int) -> tuple[float, float]:
 
     Without any, the line leads to the nearer neighbour; a point that is alone faces the laser.
     """
-    sxx, sxy, syy, nearest = 0.0, 0.0, 0.0, math.inf
+    sxx, sxy, syy, nearest, neighbour = 0.0, 0.0, 0.0, math.inf, -1
     for step in (-1, 1):
         b = a + step
         while 0 <= b < len(p):
             x, y = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]
             apart = math.hypot(x, y)
+            if apart < nearest:
+                nearest, neighbour = apart, b
             if apart > LINE_RADIUS:
-                if b == a + step and apart < nearest and nearest > LINE_RADIUS:
-                    sxx, sxy, syy, nearest = x * x, x * y, y * y, apart
                 break
-            if nearest > LINE_RADIUS:
-                sxx, sxy, syy = 0.0, 0.0, 0.0
-            sxx, sxy, syy, nearest = sxx + x * x, sxy + x * y, syy + y * y, 0.0
+            sxx, sxy, syy = sxx + x * x, sxy + x * y, syy + y * y
             b += step
-    along = 0.5 * math.atan2(2.0 * sxy, sxx - syy) if nearest < math.inf else math.atan2(p[a, 0], -p[a, 1])
+    if neighbour >= 0 and nearest > LINE_RADIUS:
+        along = math.atan2(p[neighbour, 1] - p[a, 1], p[neighbour, 0] - p[a, 0])
+    elif neighbour >= 0:
+        along = 0.5 * math.atan2(2.0 * sxy, sxx - syy)
+    else:
+        along = math.atan2(p[a, 0], -p[a, 1])
     x, y = -math.sin(along), math.cos(along)
     return (-x, -y) if x * p[a, 0] + y * p[a, 1] > 0.0 else (x, y)
