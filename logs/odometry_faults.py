@@ -1,8 +1,8 @@
 """Poses of odometry that no robot can have: single wrong ones, jumps, and poses that are only repeated.
 
-Within a time T after a step of the duration tau, an acceleration a moves a robot by at most a T (T + tau) / 2 from where its
-velocity leads, and by at most a T² / 8 from the chord of its way. Poses farther away, by more than noise, are wrong. Stamps scatter, so that only
-the direction of a velocity counts, and its size within a factor.
+A step takes the time tau, and T passes after it. An acceleration a moves the robot by at most a T (T + tau) / 2 from where the
+velocity of the step leads. From the chord of its way, it is at most a T² / 8 off. Poses farther away, by more than noise, are
+wrong. Stamps scatter, so that only the direction of a velocity counts, and its size within a factor.
 """
 
 from __future__ import annotations
