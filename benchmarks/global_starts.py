@@ -13,17 +13,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-import sensorgraph as sg
 from benchmarks.arguments import log_of_halves, parser_of
-from benchmarks.graph_filter import MOST, N_RAYS, filtered
+from benchmarks.graph_filter import MOST, N_RAYS, filtered, graph_with_memory
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.odometry_errors import Motion
-from benchmarks.particle_filter import driven
+from benchmarks.particle_filter import driven, fitted_amcl
 from planners.types import Floats
-from sensorgraph.exporting.amcl import compare_laser_models, estimate_amcl
-from sensorgraph.exporting.amcl_filter import LASER_MODELS, START_SPREAD, CellDistances, updates
+from sensorgraph.exporting.amcl_filter import START_SPREAD, updates
 from sensorgraph.exporting.amcl_filter import filtered as follow_amcl
-from sensorgraph.exporting.nav2 import chosen, map_of
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.known_map import known_map
@@ -31,7 +28,6 @@ from sensorgraph.localization.scans import scan_points
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.faces.model import Faces
-from sensorgraph.world.identified_arena import arena_of
 
 N_GLOBAL, N_FIRST, N_STARTS = 8000, 10, 20
 """Number of particles anywhere; number of updates, and of starts."""
@@ -82,12 +78,8 @@ def main() -> None:
     given = parser.parse_args()
     data = halves(given.log, given.work, hidden=N_RAYS)
     second, drive = data.second, driven(data.second)
-    arena = arena_of(data.graph)
-    grid = map_of(arena)
-    numbers = chosen(estimate_amcl(data.first, arena, grid))
-    compared = compare_laser_models(data.first, grid, numbers)
-    field, fitted = CellDistances.of(grid), compared.name if compared else LASER_MODELS[0]
-    graph = sg.build(data.first, calibrate=False, memory=True)
+    fitted = fitted_amcl(data.first, data.graph)
+    graph = graph_with_memory(data, given.log, given.work)
     motion, rng = Motion.fit(data.first), np.random.default_rng(0)
 
     def by_graph(particles: Floats, first: int) -> Floats:
@@ -96,8 +88,8 @@ def main() -> None:
     def by_amcl(particles: Floats, first: int) -> Floats:
         last = first + [0, *updates(drive[first:])][:N_FIRST][-1] + 1
         poses = follow_amcl(
-            drive[first:last], second.ranges[first:last], second.sensor, particles, field, numbers,
-            rng=np.random.default_rng(first), laser_model=fitted,
+            drive[first:last], second.ranges[first:last], second.sensor, particles, fitted.field, fitted.numbers,
+            rng=np.random.default_rng(first), laser_model=fitted.laser_model,
         )  # fmt: skip
         return np.concatenate([np.full((first, 3), np.nan), poses])
 

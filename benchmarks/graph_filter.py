@@ -3,7 +3,7 @@
     python -m benchmarks.graph_filter ../shared/data/raw-carmen/aces.clf.bz2 --work /tmp/in_map [--picture FILE.png]
 
 The graph is of the first half of the log, the filters run on the second half (`localize_in_map.halves`), with AMCL's
-updates, and are told where to start. Truth is the whole log, located together, in the second half without the rays that the
+updates, and start at the true pose. Truth is the whole log, located together, in the second half without the rays that the
 filter of the graph uses: a truth of the same readings would share their errors. NEES is the median of e' (P + k P_truth)^-1 e,
 with the covariance P of the particles, divided by that of chi² with 3 degrees of freedom: 1 if the posterior is as wide as
 its errors. The stated covariances P_truth hold errors that the map shares. So the second half is located twice more, each
@@ -19,7 +19,6 @@ sideways motion in a turn and no systematic errors.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,23 +28,21 @@ from scipy.stats import chi2
 
 import sensorgraph as sg
 from benchmarks.arguments import log_of_halves, parser_of
-from benchmarks.localize_in_map import Halves, evenly_spaced, halves, located_without, said
+from benchmarks.localize_in_map import Halves, evenly_spaced, halves, located_without, poses_at_scans, said
 from benchmarks.locate import aligned
 from benchmarks.odometry_errors import Motion
-from benchmarks.particle_filter import driven, followed
-from logs import pair, read
+from benchmarks.particle_filter import FittedAmcl, driven, fitted_amcl, followed
+from logs import read
 from logs.transforms import compose, invert, wrap
 from planners.types import Floats, Ints
-from sensorgraph.exporting.amcl import DEFAULTS, compare_laser_models, estimate_amcl
+from sensorgraph.exporting.amcl import DEFAULTS
 from sensorgraph.exporting.amcl_filter import (
     LASER_MODELS,
     START_SPREAD,
-    CellDistances,
     drawn,
     mean_pose,
     updates,
 )
-from sensorgraph.exporting.nav2 import chosen, map_of
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.likelihood import information_share
 from sensorgraph.nearby_likelihood import NearbyLikelihood
@@ -199,12 +196,20 @@ def filtered(
     return Posterior(poses=poses, covariances=covariances, seconds=seconds, counts=np.array(counts))
 
 
+def graph_with_memory(data: Halves, log: Path, work: Path) -> Sensorgraph:
+    """Return a graph of the first half that knows how readings are correlated; it is kept in `work`."""
+    path = work / f"{log.name}.without_{N_RAYS}.first_memory.sensorgraph"
+    if not path.exists():
+        sg.build(data.first, calibrate=False, memory=True).save(path)
+    return Sensorgraph.load(path)
+
+
 def alone(
     graph: Sensorgraph, data: Halves, rays: Ints, rng: np.random.Generator
 ) -> tuple[Floats, Floats, Ints]:
     """Return errors (n, 3) and covariances (n, 3, 3) of one scan alone, with a wide prior about the truth, and the scans."""
     usable = np.flatnonzero(data.covered & np.isfinite(data.truth[:, 0]))
-    chosen = usable[np.linspace(0, len(usable) - 1, N_ALONE).astype(np.intp)]
+    chosen = usable[evenly_spaced(len(usable), N_ALONE)]
     errors, covariances = [], []
     for k in chosen:
         prior = data.truth[k] + rng.normal(size=(MOST, 3)) * ALONE_SPREAD
@@ -233,9 +238,9 @@ def share_of_truth(log: Path, work: Path) -> float:
     for k in range(2):
         hidden = np.union1d(used, others[k::2])
         run = located_without(raw, second, hidden, work / f"{log.name}.truth_{k}.mcap")
-        at = np.searchsorted(run.pose_stamps, raw.stamps[second])
-        poses.append(pair(run).poses[second])
-        covariances.append(run.pose_covariances[np.minimum(at, len(run.pose_stamps) - 1)])
+        own, stated = poses_at_scans(run)
+        poses.append(own[second])
+        covariances.append(stated[second])
     known = np.isfinite(poses[0][:, 0]) & np.isfinite(poses[1][:, 0])
     errors, _ = aligned(poses[0][known], poses[1][known])
     return nees(errors, (covariances[0] + covariances[1])[known])
@@ -266,23 +271,16 @@ def picture(found: Posterior, data: Halves, truth_share: float, graph: Sensorgra
     save_figure(figure, path)
 
 
-def print_amcl(
-    data: Halves,
-    numbers: Mapping[str, float],
-    field: CellDistances,
-    fitted: str,
-    seeds: int,
-    n_updates: int | None,
-) -> None:
+def print_amcl(data: Halves, fitted: FittedAmcl, seeds: int, n_updates: int | None) -> None:
     """Print the rows of AMCL."""
     for label, parameters, laser_model in (
         ("AMCL, Nav2's defaults, 2000 particles", DEFAULTS, LASER_MODELS[0]),
-        ("AMCL, fitted, 2000 particles", numbers, fitted),
+        ("AMCL, fitted, 2000 particles", fitted.numbers, fitted.laser_model),
     ):
         for seed in range(seeds):
             began = time.process_time()
             poses = followed(
-                data.second, data.truth, field, parameters, np.random.default_rng(seed), laser_model
+                data.second, data.truth, fitted.field, parameters, np.random.default_rng(seed), laser_model
             )
             scans = np.flatnonzero(np.isfinite(poses[:, 0]))
             done = scans[:n_updates][data.covered[scans[:n_updates]]]
@@ -299,16 +297,8 @@ def main() -> None:
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     data = halves(given.log, given.work, hidden=N_RAYS)
-    arena = arena_of(data.graph)
-    grid = map_of(arena)
-    numbers = chosen(estimate_amcl(data.first, arena, grid))
-    compared = compare_laser_models(data.first, grid, numbers)
-    field, fitted = CellDistances.of(grid), compared.name if compared else LASER_MODELS[0]
-    print_amcl(data, numbers, field, fitted, given.seeds, given.updates)
-    path = given.work / f"{given.log.name}.without_{N_RAYS}.first_memory.sensorgraph"
-    if not path.exists():
-        sg.build(data.first, calibrate=False, memory=True).save(path)
-    graph = sg.Sensorgraph.load(path)
+    print_amcl(data, fitted_amcl(data.first, data.graph), given.seeds, given.updates)
+    graph = graph_with_memory(data, given.log, given.work)
     print(f"graph: {graph.memory.summary() if graph.memory else 'no memory'}")
     motion, truth_share = Motion.fit(data.first), share_of_truth(given.log, given.work)
     print(f"truth: {100 * truth_share:.0f} % of its stated variances are relative to the map")

@@ -84,12 +84,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False, hidden: int = 0) -> 
     (walls, normals), seen = walls_of_graph(graph), seen_by_graph(graph)
     second = part(raw, *other)
     whole_part = part(located, *other)
-    truth = logs.pair(whole_part).poses
-    nearest = np.clip(
-        np.searchsorted(whole_part.pose_stamps, whole_part.stamps), 0, len(whole_part.poses) - 1
-    )
-    if len(whole_part.poses) == whole_part.n_scans:  # stamps may repeat
-        nearest = np.arange(whole_part.n_scans)
+    truth, truth_covariances = poses_at_scans(whole_part)
     place, scans = known_map(walls, seen, normals), scan_points(second)
     covered = np.zeros(len(truth), dtype=np.bool_)
     for k in range(len(truth)):
@@ -99,8 +94,16 @@ def halves(log: Path, work: Path, *, swapped: bool = False, hidden: int = 0) -> 
             covered[k] = found.agreement >= COVERED
     return Halves(
         graph=graph, walls=walls, normals=normals, seen=seen, first=part(located, *known), second=second, truth=truth, covered=covered,
-        truth_covariances=whole_part.pose_covariances[nearest],
+        truth_covariances=truth_covariances,
     )  # fmt: skip
+
+
+def poses_at_scans(run: Run) -> tuple[Floats, Floats]:
+    """Return poses (n_scans, 3) and their covariances (n_scans, 3, 3) of a located run; poses of other scans are nan."""
+    nearest = np.clip(np.searchsorted(run.pose_stamps, run.stamps), 0, len(run.poses) - 1)
+    if len(run.poses) == run.n_scans:  # stamps may repeat
+        nearest = np.arange(run.n_scans)
+    return logs.pair(run).poses, run.pose_covariances[nearest]
 
 
 def located_without(run: Run, scans: slice, rays: Ints, path: Path) -> Run:

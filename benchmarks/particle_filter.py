@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.run import Run
 from planners.types import Floats
+from sensorgraph.exporting.amcl import compare_laser_models, estimate_amcl
 from sensorgraph.exporting.amcl_filter import LASER_MODELS, CellDistances, filtered
+from sensorgraph.exporting.nav2 import chosen, map_of
+from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
+from sensorgraph.world.identified_arena import arena_of
 
 
 def driven(run: Run) -> Floats:
@@ -17,6 +22,25 @@ def driven(run: Run) -> Floats:
     motion = odometry_of(run)
     assert motion is not None
     return odometry_at_scans(run, motion)
+
+
+class FittedAmcl(NamedTuple):
+    """AMCL's map and what the run of the map says of its parameters."""
+
+    field: CellDistances
+    numbers: dict[str, float]
+    """Parameters by their names in Nav2."""
+    laser_model: str
+
+
+def fitted_amcl(run: Run, graph: Sensorgraph) -> FittedAmcl:
+    """Fit AMCL's parameters and its laser model to a located run, in the map of its graph."""
+    arena = arena_of(graph)
+    grid = map_of(arena)
+    numbers = chosen(estimate_amcl(run, arena, grid))
+    compared = compare_laser_models(run, grid, numbers)
+    model = compared.name if compared else LASER_MODELS[0]
+    return FittedAmcl(field=CellDistances.of(grid), numbers=numbers, laser_model=model)
 
 
 def followed(

@@ -25,13 +25,13 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from benchmarks.arguments import parser_of
-from benchmarks.occupancy_grid import Grid, tuned
+from benchmarks.occupancy_grid import Grid, held_placements, tuned
 from logs import Run, pair, read
 from logs.motion import ray_poses
 from logs.transforms import wrap
 from planners.types import Bools, Floats, Ints
 from sensorgraph.building.build import build
-from sensorgraph.building.split import N_STRETCHES, held_out
+from sensorgraph.building.split import N_STRETCHES
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.key_frames import is_key_frame, laser_poses
 from sensorgraph.show.figures.style import new_figure, save_figure
@@ -187,12 +187,9 @@ def score(run: Run, held: Bools, most: int, dither: float) -> Scored:
 
 
 def scored(path: Path, most: int, dither: float, placements: int) -> Scored:
-    """Score one log with its stretches held out at several places, as `placements.py` moves them."""
+    """Score one log with its stretches held out at several places, as `occupancy_grid.py` moves them."""
     run = read(path)
-    first, fifth = held_out(run, "block"), run.n_scans / N_STRETCHES
-    parts = [
-        score(run, np.roll(first, round(k * fifth / placements)), most, dither) for k in range(placements)
-    ]
+    parts = [score(run, held, most, dither) for held in held_placements(run, placements)]
     pit, stated, off = (
         np.concatenate([getattr(one, name) for one in parts]) for name in ("pit", "stated", "off")
     )
