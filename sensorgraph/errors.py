@@ -15,6 +15,8 @@ from sensorgraph.arguments import fault_of
 
 P = ParamSpec("P")
 R = TypeVar("R")
+MOST_NAMES = 12
+"""Number of names that a message lists."""
 
 
 class SensorgraphError(ValueError):
@@ -121,7 +123,15 @@ def refuse_unknown_options(given: Iterable[str], known: Collection[str]) -> None
     """
     for name in given:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-            raise SensorgraphError(
-                f"unknown option `{name}`; " + (f"did you mean `{near[0]}`?" if near else "none is expected")
-            )
+            raise SensorgraphError(f"unknown option `{name}`; {suggestion(name, known)}")
+
+
+def suggestion(name: str, known: Collection[str], where: str = "") -> str:
+    """Ask for the known name that is most similar or, if none is similar, list what is expected; `where` precedes names."""
+    folded = {each.casefold(): each for each in known}
+    near = difflib.get_close_matches(name.casefold(), folded, n=1)
+    if near:
+        return f"did you mean `{where}{folded[near[0]]}`?"
+    names = [f"`{where}{each}`" for each in known]
+    listed = ", ".join(names if len(names) <= MOST_NAMES else [*names[:MOST_NAMES], "..."])
+    return f"expected {listed}" if names else "none is expected"

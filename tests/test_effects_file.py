@@ -100,7 +100,7 @@ PANE = "alpha_ret: 0.3, depth: 1.0"
         ("- {parameters: {b: 1}}", "expected keys name"),
         (f"- {{{BIAS}}}\n- {{name: glas}}", "effect 2: unknown effect `glas`; did you mean `glass`?"),
         ("- {name: range_bias, params: {b: 1}}", "unknown key `params`; did you mean `parameters`?"),
-        ("- {name: range_bias, parameters: {q: 1}}", "unknown parameter `q`; did you mean `b`?"),
+        ("- {name: range_bias, parameters: {q: 1}}", "unknown parameter `q`; expected `b`"),
         ("- {name: range_bias}", "parameter `b` is missing (m, offset of each return)"),
         ("- {name: range_bias, parameters: [1]}", "parameter is [1], expected NAME: NUMBER for b"),
         ("- {name: range_bias, parameters: {b: much}}", "parameter `b` is 'much', expected a number"),

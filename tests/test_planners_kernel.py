@@ -212,6 +212,11 @@ def test_code_is_compiled_again_after_a_change_of_what_it_calls_or_takes(
         file = folder / f"{name}.py"
         file.write_text(file.read_text().replace(before, after))
         assert run(tmp_path, script).stdout == result
+    name = "from stale.outer import outer; print(outer.py_func.__qualname__)"
+    here, moved = run(tmp_path, name).stdout, tmp_path / "elsewhere"
+    moved.mkdir()
+    folder.rename(moved / "stale")
+    assert run(moved, name).stdout == here  # so the cache beside the modules stays valid
 
 
 @pytest.mark.slow

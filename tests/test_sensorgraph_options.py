@@ -9,7 +9,7 @@ import pytest
 
 import sensorgraph as sg
 from sensorgraph.building.build import option_types
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, suggestion
 from sensorgraph.models import MODELS
 
 FUNCTIONS = [
@@ -52,6 +52,19 @@ def test_misspelt_option_of_a_model_or_a_specification_is_named() -> None:
         sg.identify("absent.csv", output="y", degre=3)
     with pytest.raises(SensorgraphError, match=r"`harmonic`; did you mean `harmonics`\?"):
         sg.build("absent.mcap", harmonic=3)
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "said"),
+    [
+        ("modle", ["model", "poses"], "did you mean `model`?"),
+        ("V", ["v", "w"], "did you mean `v`?"),
+        ("colour", ["poses"], "expected `poses`"),
+        ("colour", [], "none is expected"),
+    ],
+)
+def test_only_a_similar_name_is_suggested(name: str, known: list[str], said: str) -> None:
+    assert suggestion(name, known) == said
 
 
 def test_missing_argument_stays_a_type_error() -> None:

@@ -17,7 +17,7 @@ from planners.arena import Arena
 from planners.yaml_text import parse_yaml
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, suggestion
 from sensorgraph.quantities import ANGLE, LENGTH, NO_UNIT, SPEED, TIME, Dimension, quantity
 
 logger = logging.getLogger(__name__)
@@ -116,7 +116,7 @@ def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
     _refuse_unknown(entry, KEYS, where, "key")
     if entry["name"] not in EFFECTS:
         raise SensorgraphError(
-            f"{where}: unknown effect `{entry['name']}`; {_nearest(entry['name'], list(EFFECTS))}"
+            f"{where}: unknown effect `{entry['name']}`; {suggestion(entry['name'], list(EFFECTS))}"
         )
     effect = EFFECTS[entry["name"]]
     where = f"{where} ({effect.name})"
@@ -238,12 +238,7 @@ def _number(value: Any, where: str, dimension: Dimension = NO_UNIT, *, is_finite
 def _refuse_unknown(data: Mapping[Any, Any], known: Sequence[str], where: str, what: str) -> None:
     for key in data:
         if key not in known:
-            raise SensorgraphError(f"{where}: unknown {what} `{key}`; {_nearest(str(key), known)}")
-
-
-def _nearest(name: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
-    return f"did you mean `{near[0]}`?" if near else "none is expected"
+            raise SensorgraphError(f"{where}: unknown {what} `{key}`; {suggestion(str(key), known)}")
 
 
 def _places_like(name: str, known: Sequence[str]) -> str:
@@ -253,7 +248,7 @@ def _places_like(name: str, known: Sequence[str]) -> str:
     if own:
         return f"{feature} has `{own[0]}`" + (f" to `{own[-1]}`" if len(own) > 1 else "")
     if difflib.get_close_matches(name, known, n=1):
-        return _nearest(name, known)
+        return suggestion(name, known)
     more = ", ..." if len(known) > SHOWN_PLACES else ""
     return f"it has {', '.join(f'`{one}`' for one in known[:SHOWN_PLACES]) or 'none'}{more}"
 

@@ -8,7 +8,6 @@ minute have an exponential tail (Pickands 1975); above their upper quartile u, w
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +19,7 @@ import yaml
 from scipy.special import expit, logit
 
 from logs.files import atomic_file
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, suggestion
 from sensorgraph.types import Floats
 from sensorgraph.watching.evidence import Baseline
 from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS, MISSING_FAULT, FaultPrior
@@ -219,8 +218,8 @@ def load_policy(path: Path) -> WatchPolicy:
         robot = data.get("robot", {})
         unknown = {*robot.get("baseline", {})} - FAULTS.keys()
         if unknown:
-            near = difflib.get_close_matches(str(min(unknown)), FAULTS, n=1, cutoff=0.0)[0]
-            raise SensorgraphError(f"{path}: there is no fault `{min(unknown)}`; did you mean `{near}`?")
+            name = str(min(unknown))
+            raise SensorgraphError(f"{path}: there is no fault `{name}`; {suggestion(name, FAULTS)}")
         return WatchPolicy(
             hours=float(data["hours"]),
             p_wrong=_shares(path, "p_wrong", data["pose"]["p_wrong"]),

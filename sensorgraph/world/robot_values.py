@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from typing import Any
 
-from sensorgraph.errors import SensorgraphError
+from sensorgraph.errors import SensorgraphError, suggestion
 from sensorgraph.quantities import (
     ACCELERATION,
     ANGLE,
@@ -66,8 +65,7 @@ def reject_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[s
     """
     for key in data:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
-            raise SensorgraphError(f"{name}: unknown key `{where}{key}`; did you mean `{where}{near[0]}`?")
+            raise SensorgraphError(f"{name}: unknown key `{where}{key}`; {suggestion(str(key), known, where)}")
 
 
 def section(name: str, key: str, data: Any, defaults: Mapping[str, Any]) -> dict[str, Any]:
