@@ -65,7 +65,9 @@ def reject_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[s
     """
     for key in data:
         if key not in known:
-            raise SensorgraphError(f"{name}: unknown key `{where}{key}`; {suggestion(str(key), known, where)}")
+            raise SensorgraphError(
+                f"{name}: unknown key `{where}{key}`; {suggestion(str(key), known, where)}"
+            )
 
 
 def section(name: str, key: str, data: Any, defaults: Mapping[str, Any]) -> dict[str, Any]:
