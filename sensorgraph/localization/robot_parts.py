@@ -121,20 +121,22 @@ def parts_of_robot(
     pieces : (n_scans,) Number of the map of each pose; -1: the pose is unknown.
     motion : Motion that deskews the rays; None: no deskewing.
     """
-    sensor, same = run.sensor, _same(run.ranges, usual)
-    whole, others = scan_points(run, motion), scan_points(without_readings(run, usual), motion)
-    known = np.flatnonzero(pieces >= 0)
+    sensor, known = run.sensor, np.flatnonzero(pieces >= 0)
     some = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), MAX_SCANS)).astype(np.intp))]
+    elsewhere = {i: _elsewhere(i, poses, pieces) for i in some.tolist()}
+    others = np.unique([j for scans in elsewhere.values() for j in scans]).astype(np.intp)
+    views = run.take_scans(others)
+    whole, rest = scan_points(views, motion), scan_points(without_readings(views, usual), motion)
     by_any, seen, through = np.zeros((3, sensor.n_rays))
-    for i in some.tolist():
-        rays = np.flatnonzero(same[i])
+    for i, scans in elsewhere.items():
+        rays = np.flatnonzero(_same(run.ranges[i], usual))
         aims = laser_rays(sensor, run.stamps[i : i + 1], motion, sensor.ray_delays)[0, rays]
         away = np.column_stack([np.cos(aims[:, 2]), np.sin(aims[:, 2])])
         ends = aims[:, :2] + run.ranges[i, rays, None] * away
-        for j in _elsewhere(i, poses, pieces):
+        for j, view in zip(scans, np.searchsorted(others, scans).tolist(), strict=True):
             points = moved_points(ends, compose(invert(poses[j]), poses[i]))
-            by_any[rays] += crossed(points, np.zeros(3), whole, whole.of(j), NOISE_MARGIN)[0]
-            visible, free = crossed(points, np.zeros(3), others, others.of(j), NOISE_MARGIN)
+            by_any[rays] += crossed(points, np.zeros(3), whole, whole.of(view), NOISE_MARGIN)[0]
+            visible, free = crossed(points, np.zeros(3), rest, rest.of(view), NOISE_MARGIN)
             seen[rays] += visible
             through[rays] += free
     parts = np.full(sensor.n_rays, np.nan)
