@@ -7,38 +7,29 @@ wrong. Stamps scatter, so that only the direction of a velocity counts, and its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from logs.publishers import PUBLISHER_LIMITS as ROBOT
 from logs.transforms import wrap
 from logs.types import Bools, Floats, Ints
 
-
-@dataclass(frozen=True, kw_only=True)
-class FaultLimits:
-    """Limits for the faults of odometry; conventions, not fitted to data."""
-
-    length: int = 5
-    """Maximum number of wrong poses in a row, as of a message that is damaged or a register that is read as 0."""
-    significance: float = 10.0
-    """Distance of a wrong pose, relative to the median distance of all poses, which is their noise."""
-    least: float = 0.1
-    """[m] Smallest jump, with turns as distances (6°); shorter ones are slip, or noise of the stamps."""
-    timing: float = 3.0
-    """Duration of a step, relative to that by its stamps, at most: stamps scatter where messages arrive late."""
-    share: float = 0.1
-    """Maximum share of wrong poses; more are noise, or another publisher."""
-    repeats: int = 2
-    """Minimum median number of equal poses in a row of odometry that is published more often than it is measured ..."""
-    values: int = 20
-    """... of at least so many different ones."""
-    longer: float = 1.5
-    """Duration of equal poses, relative to the usual one, above which the robot stands."""
-
-
-FAULTS = FaultLimits()
+# conventions, not fitted to data
+MAX_LENGTH = 5
+"""Maximum number of wrong poses in a row, as of a message that is damaged or a register that is read as 0."""
+SIGNIFICANCE = 10.0
+"""Distance of a wrong pose, relative to the median distance of all poses, which is their noise."""
+MIN_JUMP = 0.1
+"""[m] Smallest jump, with turns as distances (6°); shorter ones are slip, or noise of the stamps."""
+TIMING = 3.0
+"""Duration of a step, relative to that by its stamps, at most: stamps scatter where messages arrive late."""
+MAX_SHARE = 0.1
+"""Maximum share of wrong poses; more are noise, or another publisher."""
+MIN_REPEATS = 2
+"""Minimum median number of equal poses in a row of odometry that is published more often than it is measured ..."""
+MIN_VALUES = 20
+"""... of at least so many different ones."""
+MAX_LONGER = 1.5
+"""Duration of equal poses, relative to the usual one, above which the robot stands."""
 
 
 def wrong_poses(
@@ -59,7 +50,7 @@ def wrong_poses(
     known: Bools = np.asarray(np.isfinite(poses).all(axis=1))
     wrong = ~known
     noise, usual = 0.0, _usual(stamps)
-    for length in range(1, FAULTS.length + 1):
+    for length in range(1, MAX_LENGTH + 1):
         index = np.flatnonzero(~wrong)
         n = len(index) - length - 2
         if n < 1:
@@ -70,17 +61,17 @@ def wrong_poses(
         before = np.maximum(t[first] - t[first - 1], usual)
         chord, step = (_steps(p[a], p[b]) for a, b in ((first, first + length + 1), (first - 1, first)))
         most = ROBOT.distance + ROBOT.acceleration * whole * (whole + before) / 2
-        continues = _off(chord, step, np.full(n, FAULTS.timing * (length + 1))) <= most
+        continues = _off(chord, step, np.full(n, TIMING * (length + 1))) <= most
         off = np.min(
             [_off(_steps(p[first], p[first + k]), chord, np.ones(n)) for k in range(1, length + 1)],
             axis=0,
         )
         noise = noise or float(np.median(off))
         most = ROBOT.distance + ROBOT.acceleration * whole**2 / 8
-        found = first[continues & (off > np.maximum(most, FAULTS.significance * noise))]
+        found = first[continues & (off > np.maximum(most, SIGNIFICANCE * noise))]
         wrong[index[found[:, None] + np.arange(1, length + 1)]] = True
     wrong = wrong & known
-    are_single = wrong.sum() <= FAULTS.share * known.sum() and not _are_crowded(wrong)
+    are_single = wrong.sum() <= MAX_SHARE * known.sum() and not _are_crowded(wrong)
     return wrong if are_single else np.zeros_like(wrong)
 
 
@@ -113,15 +104,13 @@ def jumps(
     excess, most = np.zeros((2, len(dt))), np.zeros((2, len(dt)))
     for side, near in enumerate((slice(None, -2), slice(2, None))):
         longer = np.divide(dt, took[near], out=np.ones(len(dt)), where=took[near] > 0)
-        excess[side] = _off(step, steps[near], FAULTS.timing * np.maximum(longer, 1.0))
-        most[side] = (
-            ROBOT.distance + ROBOT.acceleration * FAULTS.timing * dt * (FAULTS.timing * dt + took[near]) / 2
-        )
+        excess[side] = _off(step, steps[near], TIMING * np.maximum(longer, 1.0))
+        most[side] = ROBOT.distance + ROBOT.acceleration * TIMING * dt * (TIMING * dt + took[near]) / 2
     excess[~np.isfinite(excess)] = 0.0
     noise = float(np.median(excess.min(axis=0)))
-    is_jump = (excess > np.maximum(most, max(FAULTS.least, FAULTS.significance * noise))).all(axis=0)
+    is_jump = (excess > np.maximum(most, max(MIN_JUMP, SIGNIFICANCE * noise))).all(axis=0)
     found = index[np.flatnonzero(is_jump) + 2] - 1
-    return found if len(found) <= FAULTS.share * len(steps) else np.zeros(0, dtype=np.intp)
+    return found if len(found) <= MAX_SHARE * len(steps) else np.zeros(0, dtype=np.intp)
 
 
 def hung_poses(
@@ -147,17 +136,12 @@ def hung_poses(
     steps = _steps(poses[first[:-1]], poses[first[1:]])
     dt = np.maximum(stamps[first[1:]] - stamps[first[1:] - 1], usual)
     before, own, after = slice(None, -2), slice(1, -1), slice(2, None)
-    excess = _off(
-        steps[own], steps[after], FAULTS.timing * np.maximum(dt[own] / np.maximum(dt[after], 1e-9), 1.0)
-    )
-    most = (
-        ROBOT.distance
-        + ROBOT.acceleration * FAULTS.timing * dt[own] * (FAULTS.timing * dt[own] + dt[after]) / 2
-    )
+    excess = _off(steps[own], steps[after], TIMING * np.maximum(dt[own] / np.maximum(dt[after], 1e-9), 1.0))
+    most = ROBOT.distance + ROBOT.acceleration * TIMING * dt[own] * (TIMING * dt[own] + dt[after]) / 2
     spans, ways = np.maximum(np.diff(stamps[first]), usual), np.linalg.norm(steps, axis=1)
     speeds = np.divide(ways, spans, out=np.zeros(len(ways)), where=spans > 0)
-    reach = FAULTS.timing * spans[own] * np.maximum(speeds[before], speeds[after])
-    is_hung = (excess > np.maximum(most, FAULTS.least)) & (ways[own] <= reach)
+    reach = TIMING * spans[own] * np.maximum(speeds[before], speeds[after])
+    is_hung = (excess > np.maximum(most, MIN_JUMP)) & (ways[own] <= reach)
     for k in np.flatnonzero(is_hung) + 1:
         hung[first[k] + 1 : first[k + 1]] = True
     return hung
@@ -174,11 +158,11 @@ def measured_poses(stamps: Floats, poses: Floats) -> Ints | None:
     stamps, poses : (n,) [s] in order, (n, 3) [m, m, rad]
     """
     first = _changes(poses)
-    if len(first) < FAULTS.values or np.median(np.diff(first)) < FAULTS.repeats:
+    if len(first) < MIN_VALUES or np.median(np.diff(first)) < MIN_REPEATS:
         return None
     usual = float(np.median(np.diff(stamps[first])))
     ends = np.append(stamps[first[1:]] - usual, stamps[-1])
-    stands = np.diff(stamps[first], append=stamps[-1]) > FAULTS.longer * usual
+    stands = np.diff(stamps[first], append=stamps[-1]) > MAX_LONGER * usual
     until = np.where(stands, np.searchsorted(stamps, ends, side="right") - 1, first)
     number = np.repeat(np.arange(len(first)), np.diff(first, append=len(stamps)))
     return np.flatnonzero(np.arange(len(stamps)) <= until[number])

@@ -12,15 +12,49 @@ from numpy.typing import ArrayLike, NDArray
 from logs.arguments import check_scan, convert_lists, numbers_of
 from logs.html_table import html_table
 from logs.motion import motion_of
-from logs.occupancy_map import OccupancyMap as OccupancyMap
 from logs.run_figure import run_figure
 from logs.sensor import RARE_TIMES as RARE_TIMES
 from logs.sensor import PoseFrame as PoseFrame
 from logs.sensor import RangeSensor as RangeSensor
 from logs.sensor import rare_times as rare_times
 from logs.sensor import with_rare_times as with_rare_times
-from logs.twins import twins
 from logs.types import Bools, Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OccupancyMap:
+    """An occupancy-grid map of free, occupied and unknown cells."""
+
+    data: NDArray[np.int8]
+    """(ny, nx) -1: unknown, 0: free, 100: occupied; row 0 has the lowest y."""
+    resolution: float
+    """[m] side length of a cell."""
+    origin: Floats
+    """(3,) [m, m, rad] pose in map of the lower left corner of cell (0, 0)."""
+
+    def __post_init__(self) -> None:
+        if self.data.ndim != 2 or self.data.dtype != np.int8 or self.data.min(initial=0) < -1:
+            raise ValueError(
+                f"data has shape {self.data.shape} and type {self.data.dtype}, expected (ny, nx) int8 from -1 to 100"
+            )
+        if self.origin.shape != (3,) or not self.resolution > 0:
+            raise ValueError(
+                f"origin has shape {self.origin.shape} and resolution is {self.resolution}, "
+                "expected (3,) and a positive number"
+            )
+
+
+def twins(stamps: Floats, pose_stamps: Floats) -> NDArray[np.intp]:
+    """Return the index (n_scans,) of the pose with the same stamp as each scan, or -1.
+
+    If as many poses as scans share one stamp, the k-th pose belongs to the k-th scan. Otherwise there is no such pose.
+    """
+    first = np.searchsorted(pose_stamps, stamps, side="left")
+    n_poses = np.searchsorted(pose_stamps, stamps, side="right") - first
+    before = np.searchsorted(stamps, stamps, side="left")
+    n_scans = np.searchsorted(stamps, stamps, side="right") - before
+    rank = np.arange(len(stamps)) - before
+    return np.where(n_poses == n_scans, first + rank, -1)
 
 
 def _empty(*shape: int) -> Floats:

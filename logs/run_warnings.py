@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from logs.alternating_scans import alternating_text
@@ -14,30 +12,20 @@ from logs.run import Run
 from logs.sweep import sweep_warnings
 from logs.transforms import interpolate, wrap
 
-
-@dataclass(frozen=True, kw_only=True)
-class WarningLimits:
-    """Thresholds above which a property of a log is reported; conventions, not fitted to data."""
-
-    gap_periods: float = 5.0
-    """A step is a gap if it exceeds this number of median steps ..."""
-    gap: float = 0.5
-    """[s] ... and also exceeds this duration."""
-    periods: tuple[float, float] = (1e-3, 20.0)
-    """[s] a scan period outside of this suggests stamps in another unit."""
-    jump_speed: float = 5.0
-    """[m/s] speed between two poses that counts as a jump; mobile robots are slower."""
-    jump: float = 0.1
-    """[m] shorter jumps count as noise of the reference pose."""
-    frozen_way: float = 0.5
-    """[m] motion of the odometry while the pose keeps exactly its place, above which the reference has stopped ..."""
-    frozen_turn: float = 0.5
-    """[rad] ... and the same for its heading."""
-    still: float = 1e-6
-    """[m, rad] poses that span less are constant."""
-
-
-LIMITS = WarningLimits()
+# thresholds above which a property is reported; conventions, not fitted to data
+MIN_GAP_PERIODS = 5.0
+"""A step is a gap if it exceeds this number of median steps ..."""
+MIN_GAP = 0.5
+"""[s] ... and also exceeds this duration."""
+USUAL_PERIODS = (1e-3, 20.0)
+"""[s] a scan period outside of this suggests stamps in another unit."""
+MIN_JUMP = 0.1
+"""[m] shorter jumps count as noise of the reference pose."""
+MIN_FROZEN = 0.5
+"""[m, rad] motion of the odometry while the pose keeps exactly its place, or its heading, above which the reference has
+stopped."""
+MAX_STILL = 1e-6
+"""[m, rad] poses that span less are constant."""
 
 
 def warnings_of(run: Run) -> list[str]:
@@ -73,7 +61,7 @@ def _stamp_warnings(run: Run) -> list[str]:
         if len(steps) < 2:
             continue
         period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-        low, high = LIMITS.periods
+        low, high = USUAL_PERIODS
         if name == "scan" and not low <= period <= high:
             out.append(f"a scan every {period:.3g} s: check that the stamps are in seconds")
         same = int((steps == 0).sum())
@@ -81,7 +69,7 @@ def _stamp_warnings(run: Run) -> list[str]:
             out.append(
                 f"{same} {name} stamps are duplicates; check for two publishers, or a bag recorded during playback"
             )
-        gaps = steps > max(LIMITS.gap_periods * float(np.median(steps)), LIMITS.gap)
+        gaps = steps > max(MIN_GAP_PERIODS * float(np.median(steps)), MIN_GAP)
         if gaps.any():
             at = float(stamps[int(np.argmax(steps))])
             out.append(f"{name}: {int(gaps.sum())} gaps, the longest {steps.max():.2f} s at {at:.2f} s")
@@ -100,11 +88,11 @@ def _pose_warnings(run: Run) -> list[str]:
     if broken:
         out.append(f"{broken} poses are not finite")
     if len(stamps) > 1 and broken == 0:
-        if np.ptp(poses, axis=0).max() < LIMITS.still:
+        if np.ptp(poses, axis=0).max() < MAX_STILL:
             out.append("the pose never changes; check that the robot moved and the reference was running")
         steps = np.diff(stamps)
         moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        jumps = (moved > LIMITS.jump) & (moved > LIMITS.jump_speed * np.maximum(steps, 1e-3))
+        jumps = (moved > MIN_JUMP) & (moved > JUMP_LIMITS.speed * np.maximum(steps, 1e-3))
         if run.meta.get("clock") == "assumed":
             jumps = moved > JUMP_LIMITS.untimed
         if jumps.any():
@@ -127,8 +115,8 @@ def _frozen_warnings(run: Run) -> list[str]:
     ways, turns = np.hypot(*np.diff(driven[:, :2], axis=0).T), np.abs(wrap(np.diff(driven[:, 2])))
     steps, out = np.diff(poses, axis=0), []
     for what, still, moved, limit, unit in (
-        ("place", (steps[:, :2] == 0).all(axis=1), ways, LIMITS.frozen_way, "m"),
-        ("heading", steps[:, 2] == 0, turns, LIMITS.frozen_turn, "rad"),
+        ("place", (steps[:, :2] == 0).all(axis=1), ways, MIN_FROZEN, "m"),
+        ("heading", steps[:, 2] == 0, turns, MIN_FROZEN, "rad"),
     ):
         edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
         spans = [(moved[a:b].sum(), a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -44,24 +44,17 @@ from logs.ros.stamps import StampCensus, can_be_read_in_pieces, starts_with_head
 from logs.run import Run
 from logs.types import Mounts, Progress
 
-
-@dataclass(frozen=True, kw_only=True)
-class StreamSettings:
-    """How a long log is divided; only memory and speed depend on these settings, not the data."""
-
-    piece: int = 4096
-    """Number of scans in a piece."""
-    ahead: int = 64
-    """Number of scans read beyond a piece, so that the poses after its last scan are available."""
-    margin_ns: int = 5_000_000_000
-    """[ns] of log time before a piece for which other messages are kept."""
-    first_messages: int = 500
-    """Number of messages per topic that the first pass keeps to assign roles to topics ..."""
-    sample: int = 47
-    """... and of /tf every n-th later one, which shows what moves; a prime, as transforms take turns."""
-
-
-SETTINGS = StreamSettings()
+# only memory and speed depend on these, not the data
+PIECE = 4096
+"""Number of scans in a piece."""
+AHEAD = 64
+"""Number of scans read beyond a piece, so that the poses after its last scan are available."""
+MARGIN_NS = 5_000_000_000
+"""[ns] of log time before a piece for which other messages are kept."""
+FIRST_MESSAGES = 500
+"""Number of messages per topic that the first pass keeps to assign roles to topics ..."""
+SAMPLE_EVERY = 47
+"""... and of /tf every n-th later one, which shows what moves; a prime, as transforms take turns."""
 
 
 class LogStream(Protocol):
@@ -187,8 +180,8 @@ class McapStream:
             encoding = contents.channels[channel].encoding if channel in shapes else ""
             if channel in shapes:
                 count_shape(shapes[channel], payload, encoding)
-            is_sample = counts[channel] % SETTINGS.sample == 0 and _is_moving_transform(contents, channel)
-            if counts[channel] <= SETTINGS.first_messages or is_sample:
+            is_sample = counts[channel] % SAMPLE_EVERY == 0 and _is_moving_transform(contents, channel)
+            if counts[channel] <= FIRST_MESSAGES or is_sample:
                 kept = look.setdefault(channel, Topic("", ""))
                 kept.log_times.append(log_time)
                 kept.payloads.append(payload)
@@ -233,12 +226,12 @@ class McapStream:
         )
 
     def pieces(self) -> Iterator[Run]:
-        """Read the file again and yield runs of `StreamSettings.piece` scans."""
+        """Read the file again and yield runs of `PIECE` scans."""
         window = _Window(self._contents, self.scan_topic)
         for done in _steps(self.path, window.keep):
             del done
-            while window.n_scans >= SETTINGS.piece + SETTINGS.ahead:
-                yield self._run(window.cut(SETTINGS.piece))
+            while window.n_scans >= PIECE + AHEAD:
+                yield self._run(window.cut(PIECE))
         if window.n_scans:
             yield self._run(window.cut(window.n_scans))
 
@@ -310,7 +303,7 @@ class _Window:
         for name, at, payload in (*self.fixed, *self.others):
             recording.topics[name].log_times.append(at)
             recording.topics[name].payloads.append(payload)
-        while self.others and self.others[0][1] < taken[-1][0] - SETTINGS.margin_ns:
+        while self.others and self.others[0][1] < taken[-1][0] - MARGIN_NS:
             self.others.popleft()
         for topic in recording.topics.values():
             topic.n_messages = len(topic.log_times)

@@ -17,37 +17,31 @@ Verdict = Literal["yes", "limited", "no"]
 NAMES = ("locate", "build", "diagnose laser", "diagnose wheels", "diagnose motors")
 
 
-@dataclass(frozen=True, kw_only=True)
-class UseLimits:
-    """Limits below which a use is restricted; conventions, not fitted to data."""
-
-    n_scans: int = 10
-    """Minimum number of scans of a drive."""
-    returns: float = 0.2
-    """Minimum share of rays with a return; an open place shows little structure."""
-    paired: float = 0.5
-    """Minimum share of scans with a pose."""
-    distance: float = 1.0
-    """[m] shorter drives are a standstill or a turn on the spot."""
-    turn: float = np.pi
-    """[rad] with fewer turns, to both sides together, a drive is nearly straight."""
-    one_side: float = 0.15
-    """Minimum share of the turns to the rarer side."""
-    step: float = 0.05
-    """[m] smallest motion that is counted, so that noise at standstill does not add up."""
-    step_turn: float = 0.05
-    """[rad] the same for turns."""
-    place: float = 1.0
-    """[m] positions that are closer show the same place ..."""
-    apart: float = 5.0
-    """[m] ... if the robot drove at least this far between them."""
-    most: int = 2000
-    """Number of positions that are compared."""
-    changes: int = 5
-    """Minimum number of changes of the command."""
-
-
-LIMITS = UseLimits()
+# limits below which a use is restricted; conventions, not fitted to data
+MIN_SCANS = 10
+"""Minimum number of scans of a drive."""
+MIN_RETURNS = 0.2
+"""Minimum share of rays with a return; an open place shows little structure."""
+MIN_PAIRED = 0.5
+"""Minimum share of scans with a pose."""
+MIN_DISTANCE = 1.0
+"""[m] shorter drives are a standstill or a turn on the spot."""
+MIN_TURN = np.pi
+"""[rad] with fewer turns, to both sides together, a drive is nearly straight."""
+MIN_ONE_SIDE = 0.15
+"""Minimum share of the turns to the rarer side."""
+MIN_STEP = 0.05
+"""[m] smallest motion that is counted, so that noise at standstill does not add up."""
+MIN_STEP_TURN = 0.05
+"""[rad] the same for turns."""
+SAME_PLACE = 1.0
+"""[m] positions that are closer show the same place ..."""
+MIN_APART = 5.0
+"""[m] ... if the robot drove at least this far between them."""
+MAX_POSITIONS = 2000
+"""Number of positions that are compared."""
+MIN_CHANGES = 5
+"""Minimum number of changes of the command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +112,7 @@ def _points(poses: Floats) -> Floats:
     """Return the positions (n_kept, 2), each at least a step from the previous one."""
     kept: list[tuple[float, float]] = []
     for x, y in poses[:, :2].tolist():
-        if not kept or math.hypot(x - kept[-1][0], y - kept[-1][1]) > LIMITS.step:
+        if not kept or math.hypot(x - kept[-1][0], y - kept[-1][1]) > MIN_STEP:
             kept.append((x, y))
     return np.array(kept).reshape(-1, 2)
 
@@ -127,18 +121,18 @@ def _headings(poses: Floats) -> Floats:
     """Return the headings (n_kept,), each at least a step from the previous one."""
     kept: list[float] = []
     for phi in poses[:, 2].tolist():
-        if not kept or abs((phi - kept[-1] + np.pi) % (2 * np.pi) - np.pi) > LIMITS.step_turn:
+        if not kept or abs((phi - kept[-1] + np.pi) % (2 * np.pi) - np.pi) > MIN_STEP_TURN:
             kept.append(phi)
     return np.array(kept)
 
 
 def _revisits(points: Floats, lengths: Floats) -> bool:
     """Return whether a path (n, 2) comes back to a place; lengths (n - 1,) [m] of its steps."""
-    some = np.unique(np.linspace(0, len(points) - 1, min(len(points), LIMITS.most)).astype(np.intp))
+    some = np.unique(np.linspace(0, len(points) - 1, min(len(points), MAX_POSITIONS)).astype(np.intp))
     along = np.concatenate([[0.0], np.cumsum(lengths)])[some]
     for k, point in enumerate(points[some]):
-        before = along < along[k] - LIMITS.apart
-        near = np.hypot(*(points[some] - point).T) < LIMITS.place
+        before = along < along[k] - MIN_APART
+        near = np.hypot(*(points[some] - point).T) < SAME_PLACE
         if (before & near).any():
             return True
     return False
@@ -168,15 +162,15 @@ def _locate(run: Run, ground: Ground | None) -> tuple[Verdict, str]:
     finite = np.isfinite(run.ranges)
     if run.sensor.cones.any():
         return "no", "its sensors measure in wide cones; locate takes a laser"
-    if run.n_scans < LIMITS.n_scans:
-        return "no", f"{run.n_scans} scans, {LIMITS.n_scans} are needed"
+    if run.n_scans < MIN_SCANS:
+        return "no", f"{run.n_scans} scans, {MIN_SCANS} are needed"
     if not finite.any():
         return "no", "no ray ever returns"
-    if finite.mean() < LIMITS.returns:
+    if finite.mean() < MIN_RETURNS:
         return "limited", f"only {finite.mean():.0%} of the rays return"
     if not len(run.odom_stamps):
         return "limited", "no odometry: motion along a corridor, or in the open, cannot be followed"
-    if ground is not None and ground.distance < LIMITS.distance and ground.turn < LIMITS.step_turn:
+    if ground is not None and ground.distance < MIN_DISTANCE and ground.turn < MIN_STEP_TURN:
         return (
             "limited",
             "the odometry never moves: motion along a corridor, or in the open, cannot be followed",
@@ -194,10 +188,10 @@ def _build(run: Run, locate: Verdict) -> tuple[Verdict, str]:
     share = float(pair(run).paired.mean()) if run.n_scans else 0.0
     if share == 0:
         return "no", "no scan has a pose"
-    if run.n_scans < LIMITS.n_scans:
-        return "no", f"{run.n_scans} scans, {LIMITS.n_scans} are needed"
+    if run.n_scans < MIN_SCANS:
+        return "no", f"{run.n_scans} scans, {MIN_SCANS} are needed"
     text = f"poses{_from(run.meta, 'pose_source')} for {share:.0%} of the scans"
-    return ("yes" if share >= LIMITS.paired else "limited"), text
+    return ("yes" if share >= MIN_PAIRED else "limited"), text
 
 
 def _laser(run: Run, ground: Ground | None, locate: Verdict) -> tuple[Verdict, str]:
@@ -206,7 +200,7 @@ def _laser(run: Run, ground: Ground | None, locate: Verdict) -> tuple[Verdict, s
         return "no", "it needs scans that can be located, or reference poses"
     if ground is None:
         return "limited", "without odometry and reference, only ranges and missing returns are tested"
-    if ground.turn < LIMITS.turn:
+    if ground.turn < MIN_TURN:
         return "limited", f"only {ground.turn:.1f} rad of turns: the mount and the clock hardly show"
     if not has_reference:
         return "limited", "no reference poses: located ones follow errors of the mount and the clock"
@@ -216,14 +210,14 @@ def _laser(run: Run, ground: Ground | None, locate: Verdict) -> tuple[Verdict, s
 def _wheels(run: Run, ground: Ground | None) -> tuple[Verdict, str]:
     if not len(run.odom_stamps):
         return "no", "no odometry"
-    if ground is None or (ground.distance < LIMITS.distance and ground.turn < LIMITS.turn):
+    if ground is None or (ground.distance < MIN_DISTANCE and ground.turn < MIN_TURN):
         return (
             "limited",
             f"the robot hardly moves ({ground}): large errors only" if ground else "it hardly moves",
         )
-    if ground.turn < LIMITS.turn:
+    if ground.turn < MIN_TURN:
         return "limited", f"only {ground.turn:.1f} rad of turns: the wheelbase is uncertain"
-    if ground.distance < LIMITS.distance:
+    if ground.distance < MIN_DISTANCE:
         return "limited", f"only {ground.distance:.1f} m of driving: the wheel radius is uncertain"
     return "yes", f"{ground.distance:.1f} m and {ground.turn:.1f} rad of turns"
 
@@ -234,7 +228,7 @@ def _motors(run: Run) -> tuple[Verdict, str]:
     if not len(run.odom_stamps) and not len(run.pose_stamps):
         return "no", "neither odometry nor poses show how the robot follows its commands"
     n = int((np.diff(run.commands, axis=0) != 0).any(axis=1).sum())
-    if n < LIMITS.changes:
+    if n < MIN_CHANGES:
         return "limited", f"the commands change only {n} times: delay and lag hardly show"
     return "yes", f"{len(run.cmd_stamps):,} commands, {n:,} changes"
 
@@ -247,14 +241,14 @@ def advice(run: Run, ground: Ground | None) -> str:
     """Return the minute of driving, or the signal, that would help most; empty if nothing is missing."""
     if ground is None:
         return "record the odometry (/odom, or /tf odom -> base_link): scans alone do not show every motion"
-    if ground.distance < LIMITS.distance and ground.turn < LIMITS.turn:
+    if ground.distance < MIN_DISTANCE and ground.turn < MIN_TURN:
         return "drive a loop of some metres with turns to both sides: the robot hardly moves in this log"
-    if ground.turn < LIMITS.turn:
+    if ground.turn < MIN_TURN:
         return f"drive loops with turns to both sides: the log has {ground.distance:.0f} m of nearly straight motion"
-    if ground.distance < LIMITS.distance:
+    if ground.distance < MIN_DISTANCE:
         return f"drive some metres: the robot turned by {ground.turn:.0f} rad, but drove only {ground.distance:.1f} m"
     rarer, name = min((ground.left, "left"), (ground.right, "right"))
-    if rarer < LIMITS.one_side * ground.turn:
+    if rarer < MIN_ONE_SIDE * ground.turn:
         return f"drive turns to the {name}: they are {rarer / ground.turn:.0%} of all, so that the errors of the two wheels cannot be distinguished"
     if not ground.revisits and not len(run.pose_stamps):
         return "return to places that were seen before: without a loop, drift stays in the map"

@@ -54,7 +54,8 @@ def path(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut logs into many pieces and blocks."""
-    monkeypatch.setattr(stream, "SETTINGS", stream.StreamSettings(piece=90, margin_ns=1_000_000_000))
+    monkeypatch.setattr(stream, "PIECE", 90)
+    monkeypatch.setattr(stream, "MARGIN_NS", 1_000_000_000)
     for module in (training_data, reduction):
         monkeypatch.setattr(module, "SCANS_PER_BLOCK", 128)
 
@@ -62,10 +63,10 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_log_without_poses_is_located_with_all_its_odometry(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stamps = np.linspace(run.stamps[0], run.stamps[-1], 3 * stream.SETTINGS.first_messages)
+    stamps = np.linspace(run.stamps[0], run.stamps[-1], 3 * stream.FIRST_MESSAGES)
     wheels = run.poses_at(stamps)
     short = replace(
-        run.take_scans(slice(0, stream.SETTINGS.first_messages)),
+        run.take_scans(slice(0, stream.FIRST_MESSAGES)),
         pose_stamps=np.zeros(0),
         poses=np.zeros((0, 3)),
         pose_covariances=np.zeros((0, 3, 3)),

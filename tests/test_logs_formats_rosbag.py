@@ -258,7 +258,8 @@ def test_a_log_read_by_pieces_has_the_bearings_of_most_scans_and_loses_none(
         ranges = np.where(rng.random(n) < 0.2, 0.0, rng.uniform(2, 3, n))
         bag += [scan(0.1 * i, ranges, angle_min=0.1, increment=2 * np.pi / n), pose(0.1 * i, 0.1 * i, 0, 0)]
     path = next(file for file in write_bag2(tmp_path / "bag", bag).iterdir() if file.suffix == ".mcap")
-    monkeypatch.setattr(stream, "SETTINGS", stream.StreamSettings(piece=7, ahead=2, first_messages=5))
+    for name, value in {"PIECE": 7, "AHEAD": 2, "FIRST_MESSAGES": 5}.items():
+        monkeypatch.setattr(stream, name, value)
     log = stream.open_log(path)
     pieces = list(log.pieces())
     whole = logs.read(path)

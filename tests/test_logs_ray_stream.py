@@ -107,7 +107,8 @@ def test_other_scans_are_not_cut(tmp_path: Path, kind: str) -> None:
 
 def test_such_a_log_is_never_read_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = next(f for f in write_bag2(tmp_path / "bag", spinning([58] * 40)).iterdir() if f.suffix == ".mcap")
-    monkeypatch.setattr(stream, "SETTINGS", stream.StreamSettings(piece=7, ahead=2, first_messages=5))
+    for name, value in {"PIECE": 7, "AHEAD": 2, "FIRST_MESSAGES": 5}.items():
+        monkeypatch.setattr(stream, name, value)
     log = stream.open_log(path)
     check(log.head if log.n_scans == 0 else next(iter(log.pieces())))
     assert log.n_scans == sum(len(piece.stamps) for piece in log.pieces())

@@ -252,9 +252,8 @@ def test_log_in_pieces_takes_the_sources_of_the_whole(
     ]
     bag = in_order([MOUNT], *tree, scans(), scans("/rear", "rear"), wishes)
     path = next(file for file in write_bag2(tmp_path / "bag", bag).iterdir() if file.suffix == ".mcap")
-    monkeypatch.setattr(
-        stream, "SETTINGS", stream.StreamSettings(piece=5, ahead=2, first_messages=4, sample=7)
-    )
+    for name, value in {"PIECE": 5, "AHEAD": 2, "FIRST_MESSAGES": 4, "SAMPLE_EVERY": 7}.items():
+        monkeypatch.setattr(stream, name, value)
     log, whole = stream.open_log(path), logs.read(path)
     pieces = list(log.pieces())
     assert len(pieces) > 5

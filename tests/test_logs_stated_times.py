@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from rosbag_samples import Message, odometry, read, scan
 
-from logs.bursts import even_times
 from logs.notes import assumptions_of
 from logs.ros.bearings import seconds_to_first_ray
+from logs.ros.stated_times import even_times
 
 N, PERIOD = 120, 0.1
 STEP, PER_RAY = 2 * np.pi / N, PERIOD / N

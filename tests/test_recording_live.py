@@ -17,7 +17,6 @@ import logs
 from benchmarks import zenoh_robot as lab
 from logs.live import network, recording
 from logs.live.keys import PublishedTopic, data_key, dds_type, parse_token, ros_type
-from logs.live.recording import LiveSettings
 from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
 
@@ -159,7 +158,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(recording, "SETTINGS", LiveSettings(patience=0.3))
+    monkeypatch.setattr(recording, "PATIENCE", 0.3)
     robot = lab.Robot(port, ["/chatter", "/odom"], domain=9)
     assert live(port, tmp_path / "run.mcap", *arguments, domain=9) == 2
     robot.close()

@@ -9,24 +9,17 @@ from numpy.typing import NDArray
 
 from logs.types import Floats
 
-
-@dataclass(frozen=True, kw_only=True)
-class ClockSettings:
-    """Thresholds for a usable clock; conventions, not fitted to data."""
-
-    first_absolute: float = 1e8
-    """[s] larger times are absolute, from 1970."""
-    latest: float = 9e9
-    """[s] maximum absolute value of a stamp, so that its nanoseconds fit into 64 bits."""
-    assumed_period: float = 0.1
-    """[s] assumed scan period of a log whose clock has stopped."""
-    distinct: float = 0.01
-    """Minimum number of distinct times as a share of the scans; below it, the clock has stopped."""
-    restart: float = 10.0
-    """[s] a larger step back means that the clock was reset and continues from there."""
-
-
-CLOCK = ClockSettings()
+# conventions, not fitted to data
+FIRST_ABSOLUTE = 1e8
+"""[s] larger times are absolute, from 1970."""
+LATEST = 9e9
+"""[s] maximum absolute value of a stamp, so that its nanoseconds fit into 64 bits."""
+ASSUMED_PERIOD = 0.1
+"""[s] assumed scan period of a log whose clock has stopped."""
+MIN_DISTINCT = 0.01
+"""Minimum number of distinct times as a share of the scans; below it, the clock has stopped."""
+RESTART = 10.0
+"""[s] a larger step back means that the clock was reset and continues from there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,8 +65,8 @@ def read_clock(clocks: Floats, lines: Floats, poses: Floats, notes: list[str]) -
         stamps = clocks[:, 1]
         notes.append(f"the sensor clock has only {n_levels[0]} distinct times, so the logger clock was used")
     in_file_order = np.arange(n, dtype=np.intp)
-    if max(n_levels) == 0 or (n > 1 and max(n_levels) <= max(1, CLOCK.distinct * n)):
-        period = CLOCK.assumed_period
+    if max(n_levels) == 0 or (n > 1 and max(n_levels) <= max(1, MIN_DISTINCT * n)):
+        period = ASSUMED_PERIOD
         shown = {0: " (the lines have no times)", 1: ""}.get(
             max(n_levels), f" ({max(n_levels)} distinct times for {n} scans)"
         )
@@ -91,7 +84,7 @@ def read_clock(clocks: Floats, lines: Floats, poses: Floats, notes: list[str]) -
     if absent.any():
         stamps = np.where(absent, np.interp(lines, lines[~absent], stamps[~absent]), stamps)
         notes.append(f"{int(absent.sum())} scans have no time: it was interpolated in the order of the lines")
-    epoch = int(np.floor(stamps.min())) if stamps.min() > CLOCK.first_absolute else 0
+    epoch = int(np.floor(stamps.min())) if stamps.min() > FIRST_ABSOLUTE else 0
     stamps = stamps - epoch
     order = np.argsort(stamps, kind="stable")
     back, same = int((np.diff(stamps) < 0).sum()), int((np.diff(stamps[order]) == 0).sum())
@@ -121,7 +114,7 @@ def _monotone(stamps: Floats) -> Floats:
     from scipy.optimize import isotonic_regression
 
     steps = np.diff(stamps)
-    steps[steps < -CLOCK.restart] = np.median(steps[steps > 0]) if (steps > 0).any() else CLOCK.assumed_period
+    steps[steps < -RESTART] = np.median(steps[steps > 0]) if (steps > 0).any() else ASSUMED_PERIOD
     whole = np.concatenate([stamps[:1], stamps[0] + np.cumsum(steps)])
     levels, which, counts = np.unique(isotonic_regression(whole).x, return_inverse=True, return_counts=True)
     edges = np.concatenate([levels[:1], (levels[1:] + levels[:-1]) / 2, levels[-1:]])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from logs.formats.carmen_clock import CLOCK
+from logs.formats.carmen_clock import LATEST
 from logs.types import Floats, Progress
 
 SCAN_KEYWORDS = ("FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2")
@@ -136,7 +136,7 @@ def _add(lines: ParsedLines, word: str, words: _Words) -> None:
     values = [float(text) for text in rest[:n_poses]]
     n_before = 11 if word.startswith("ROBOT") and n_leading >= 11 else n_poses
     times = [value for text in rest[n_before:] if (value := _number(text)) is not None] or [np.nan]
-    if any(abs(time) > CLOCK.latest for time in times):
+    if any(abs(time) > LATEST for time in times):
         raise ValueError("a stamp that is out of range")
     if word in ("ODOM", "TRUEPOS"):
         if n_poses == 0:

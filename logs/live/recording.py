@@ -20,28 +20,20 @@ from logs.live.window import MessageWindow
 from logs.ros.recording import KEPT_TYPES, RANGE_TYPE, SCAN_TYPE, check_roles
 from logs.run import Run
 
-
-@dataclass(frozen=True, kw_only=True)
-class LiveSettings:
-    """Timeouts of a recording, and the definition of a gap."""
-
-    patience: float = 10.0
-    """[s] default time in which a topic with readings and all selected topics must be announced."""
-    gap_periods: float = 3.0
-    """Minimum duration of a gap, in periods of the topic."""
-    least_gap: float = 0.25
-    """[s] minimum duration of a gap."""
-    gap_steps: int = 20
-    """Number of steps whose median is the period, so that one gap does not hide the next."""
-    rate_span: float = 5.0
-    """[s] interval over which the displayed rate is counted."""
-    window: float = 6.0
-    """[s] of messages kept to estimate the current pose of the robot."""
-    look_every: float = 0.1
-    """[s] interval between checks of the router."""
-
-
-SETTINGS = LiveSettings()
+PATIENCE = 10.0
+"""[s] default time in which a topic with readings and all selected topics must be announced."""
+GAP_PERIODS = 3.0
+"""Minimum duration of a gap, in periods of the topic."""
+LEAST_GAP = 0.25
+"""[s] minimum duration of a gap."""
+GAP_STEPS = 20
+"""Number of steps whose median is the period, so that one gap does not hide the next."""
+RATE_SPAN = 5.0
+"""[s] interval over which the displayed rate is counted."""
+WINDOW = 6.0
+"""[s] of messages kept to estimate the current pose of the robot."""
+LOOK_EVERY = 0.1
+"""[s] interval between checks of the router."""
 
 
 @dataclass
@@ -63,7 +55,7 @@ class TopicRate:
 
     def hz(self, now: float) -> float:
         """Return the message rate [Hz] up to now [s]; 0 for a silent topic."""
-        begin = max(now - SETTINGS.rate_span, self.recent[0]) if self.recent else now
+        begin = max(now - RATE_SPAN, self.recent[0]) if self.recent else now
         count = sum(at > begin for at in self.recent)
         return count / (now - begin) if now > begin else 0.0
 
@@ -73,11 +65,11 @@ class TopicRate:
 
     def is_gap(self, silence: float) -> bool:
         """Return whether a silence [s] is too long for the rate of the topic."""
-        n = min(len(self.recent), SETTINGS.gap_steps + 1)
-        if n <= 3 or silence <= SETTINGS.least_gap:
+        n = min(len(self.recent), GAP_STEPS + 1)
+        if n <= 3 or silence <= LEAST_GAP:
             return False
         latest = [self.recent[-k] for k in range(n, 0, -1)]
-        return silence > SETTINGS.gap_periods * median(b - a for a, b in pairwise(latest))
+        return silence > GAP_PERIODS * median(b - a for a, b in pairwise(latest))
 
     def add(self, message: LiveMessage) -> None:
         """Count a message."""
@@ -138,7 +130,7 @@ class LiveRecording:
         self.began: float | None = None
         """[s] time of the first message since the epoch."""
         self._looked = 0.0
-        self._window = MessageWindow(SETTINGS.window)
+        self._window = MessageWindow(WINDOW)
         self._file = RosFile(path)
         try:
             for name, data in (attachments or {}).items():
@@ -164,7 +156,7 @@ class LiveRecording:
         LogError
             If a topic is not announced in time; the message lists the announced topics.
         """
-        until = time.monotonic() + (SETTINGS.patience if patience is None else patience)
+        until = time.monotonic() + (PATIENCE if patience is None else patience)
         while (missing := self._missing()) and time.monotonic() < until:
             self._take(self.network.next(until))
         if missing:
@@ -179,10 +171,10 @@ class LiveRecording:
         """Write the messages received within `duration` [s]."""
         until = time.monotonic() + duration
         while (now := time.monotonic()) < until:
-            if now - self._looked > SETTINGS.look_every:
+            if now - self._looked > LOOK_EVERY:
                 self._looked = now
                 self._look_for_router()
-            self._take(self.network.next(min(until, now + SETTINGS.look_every)))
+            self._take(self.network.next(min(until, now + LOOK_EVERY)))
 
     def recent(self) -> Run | None:
         """Return the latest seconds as a run, interpreted like the file; None if they contain no scan."""

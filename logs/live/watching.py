@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from logs.errors import LogError
 from logs.live.keys import PublishedTopic
 from logs.live.network import LiveMessage, RosNetwork
-from logs.live.recording import SETTINGS, TopicRate
+from logs.live.recording import PATIENCE, TopicRate
 from logs.live.window import MessageWindow
 from logs.ros.recording import KEPT_TYPES, RANGE_TYPE, SCAN_TYPE, check_roles
 from logs.run import Run
@@ -45,7 +45,7 @@ class LiveScans:
         LogError
             If no scan arrives in time [s]; None: as in a recording.
         """
-        until = time.monotonic() + (SETTINGS.patience if patience is None else patience)
+        until = time.monotonic() + (PATIENCE if patience is None else patience)
         while time.monotonic() < until:
             self.pump(0.5)
             if self.n_scans > 2 and (run := self.recent()) is not None:

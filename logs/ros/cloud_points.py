@@ -21,35 +21,14 @@ INTENSITY_FIELDS = ("intensity", "intensities", "reflectivity", "i")
 """Names of fields in the drivers of Velodyne, Ouster, Hesai, RoboSense and Livox."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CloudSettings:
-    """How a scan plane is found; conventions, not fitted to data."""
-
-    look: int = 20
-    """Number of clouds from which rings, bearings and the rotation are determined."""
-    band: float = float(np.radians(1.0))
-    """[rad] maximum elevation of a point, if the elevations form no separate rings."""
-    gap: float = float(np.radians(0.1))
-    """[rad] gap between the elevations of two rings."""
-    far: float = 1.0
-    """[m] nearer points do not determine the elevation of a ring, because beams start off the centre."""
-    flat: float = 1e-3
-    """[m] points whose heights span less were measured by a planar laser."""
-    step: float = float(np.radians(0.5))
-    """[rad] step of the bearings, if the rings are unknown."""
-    finest: float = float(np.radians(0.05))
-    """[rad] smallest step of the bearings."""
-    linear: float = 0.95
-    """Minimum length of the mean phase vector of times and bearings, 1 for a uniform rotation."""
-    whole: float = 0.95
-    """A turn of which less than this share of the median turn was measured is left out."""
-    absolute: float = 1e6
-    """[s] larger times of points are absolute, from 1970."""
-    apart: float = 10.0
-    """[s] absolute times further from the stamp of the cloud belong to another clock."""
-
-
-SETTINGS = CloudSettings()
+MAX_ELEVATION = float(np.radians(1.0))
+"""[rad] maximum elevation of a point, if the elevations form no separate rings."""
+MIN_RING_GAP = float(np.radians(0.1))
+"""[rad] gap between the elevations of two rings."""
+MIN_DISTANCE = 1.0
+"""[m] nearer points do not determine the elevation of a ring, because beams start off the centre."""
+MAX_FLAT = 1e-3
+"""[m] points whose heights span less were measured by a planar laser."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +178,7 @@ class Plane:
             return points.take((z >= self.heights[0]) & (z <= self.heights[1]))
         if self.ring is not None and points.ring is not None:
             return points.take(points.ring == self.ring)
-        low, high = self.elevations or (-SETTINGS.band, SETTINGS.band)
+        low, high = self.elevations or (-MAX_ELEVATION, MAX_ELEVATION)
         elevations = points.elevations
         return points.take((elevations >= low) & (elevations <= high))
 
@@ -211,11 +190,11 @@ def horizontal(clouds: Sequence[Cloud], *, is_level: bool) -> Plane:
     rings. The ring of an organised cloud is a row.
     """
     z = np.concatenate([cloud.points.xyz[:, 2] for cloud in clouds])
-    if len(z) and float(np.ptp(z)) < SETTINGS.flat:  # the points of a planar laser
+    if len(z) and float(np.ptp(z)) < MAX_FLAT:  # the points of a planar laser
         return Plane(heights=(float(z.min()), float(z.max())), text="all points, which lie in one plane")
     rings = [cloud.points.ring for cloud in clouds]
     elevations = np.concatenate([cloud.points.elevations for cloud in clouds])
-    is_far = np.concatenate([cloud.points.ranges for cloud in clouds]) > SETTINGS.far
+    is_far = np.concatenate([cloud.points.ranges for cloud in clouds]) > MIN_DISTANCE
     if is_level and all(ring is not None for ring in rings):
         ring = np.concatenate([ring for ring in rings if ring is not None])
         use = is_far if is_far.any() else np.ones(len(ring), dtype=np.bool_)
@@ -232,11 +211,11 @@ def horizontal(clouds: Sequence[Cloud], *, is_level: bool) -> Plane:
 
 def _band(elevations: Floats) -> tuple[float, float]:
     """Return the limits of the ring nearest the horizontal; of a continuous distribution, the band around it."""
-    band = SETTINGS.band
+    band = MAX_ELEVATION
     some = np.sort(elevations[np.abs(elevations) < 15 * band])
     if len(some) == 0:
         return -band, band
-    cuts = np.flatnonzero(np.diff(some) > SETTINGS.gap) + 1
+    cuts = np.flatnonzero(np.diff(some) > MIN_RING_GAP) + 1
     starts, stops = np.concatenate([[0], cuts]), np.concatenate([cuts, [len(some)]]) - 1
     middle = (some[starts] + some[stops]) / 2
     k = int(np.lexsort((-middle, np.round(np.abs(middle), 3)))[0])

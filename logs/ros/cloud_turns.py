@@ -19,9 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.resampling import STEEPEST
-from logs.ros.cloud_points import SETTINGS, Cloud, Plane, Points
+from logs.ros.cloud_points import Cloud, Plane, Points
 from logs.transforms import wrap
 from logs.types import Floats
+
+USUAL_STEP = float(np.radians(0.5))
+"""[rad] step of the bearings, if the rings are unknown."""
+FINEST_STEP = float(np.radians(0.05))
+"""[rad] smallest step of the bearings."""
+MIN_LINEAR = 0.95
+"""Minimum length of the mean phase vector of times and bearings, 1 for a uniform rotation."""
+MIN_WHOLE = 0.95
+"""A turn of which less than this share of the median turn was measured is left out."""
+FIRST_ABSOLUTE = 1e6
+"""[s] larger times of points are absolute, from 1970."""
+MAX_APART = 10.0
+"""[s] absolute times further from the stamp of the cloud belong to another clock."""
 
 TIME_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 """[s] units of the times of points."""
@@ -74,12 +87,12 @@ def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
     steps = np.concatenate([np.diff(np.sort(one.bearings)) for one in full] or [np.zeros(0)])
     is_ring = any(one.ring is not None for one in full) or not plane.is_slice
     steps = steps[steps > 1e-6]
-    step = SETTINGS.step
+    step = USUAL_STEP
     if is_ring and len(steps):
         usual = float(np.median(steps))
         even = steps[np.abs(steps - usual) < 0.5 * usual]  # without the gaps of missing returns
         step = float(even.mean()) if len(even) else usual
-    n = round(tau / max(step, SETTINGS.finest))
+    n = round(tau / max(step, FINEST_STEP))
     unit = _unit(clouds, chosen)
     found = [rotation for one in full if unit and (rotation := _rotation(one, unit)) is not None]
     phase = np.exp(1j * n * np.concatenate([one.bearings for one in full] or [np.zeros(1)])).mean()
@@ -94,7 +107,7 @@ def find_grid(clouds: Sequence[Cloud], plane: Plane) -> Grid:
         if one.times is not None and len(one.times)
     ]
     mean = np.exp(1j * np.array(begins)).mean()
-    cut = float(np.angle(mean)) - sign * 0.5 * tau / n if abs(mean) > SETTINGS.linear else np.pi
+    cut = float(np.angle(mean)) - sign * 0.5 * tau / n if abs(mean) > MIN_LINEAR else np.pi
     return Grid(n, _aligned(cut, centre, n), sign, period, unit)
 
 
@@ -138,7 +151,7 @@ def _rotation(points: Points, unit: float) -> float | None:
     whole = b + tau * np.rint((b[0] + rate * t - b) / tau)
     rate = float(np.polyfit(t, whole, 1)[0])
     phase = np.exp(1j * (b - rate * t))
-    return rate if abs(phase.mean()) > SETTINGS.linear and rate != 0 else None
+    return rate if abs(phase.mean()) > MIN_LINEAR and rate != 0 else None
 
 
 def _start(chosen: Sequence[Points], n: int) -> float:
@@ -209,7 +222,7 @@ class TurnScans:
     def drop_incomplete(self) -> int:
         """Drop turns of which less was measured than of most, as the first and the last; return their number."""
         usual = float(np.median([scan.share for scan in self.scans])) if self.scans else 0.0
-        kept = [scan for scan in self.scans if scan.share >= SETTINGS.whole * usual]
+        kept = [scan for scan in self.scans if scan.share >= MIN_WHOLE * usual]
         n_dropped, self.scans = len(self.scans) - len(kept), kept
         return n_dropped
 
@@ -232,10 +245,10 @@ def _times(points: Points, unit: float, stamp: int) -> Floats | None:
     if points.times is None or unit == 0 or not len(points.times):
         return None
     times = points.times * unit
-    if abs(times[0]) < SETTINGS.absolute:
+    if abs(times[0]) < FIRST_ABSOLUTE:
         return times
     after = times - stamp / 1e9
-    return after if abs(after[0]) < SETTINGS.apart else times - times.min()
+    return after if abs(after[0]) < MAX_APART else times - times.min()
 
 
 def _row(turn: _Turn, centres: Floats, step: float, *, fill: float) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from logs.errors import LogError
 from logs.ros import cdr
-from logs.ros.cloud_points import SETTINGS, Cloud, Plane, decode, horizontal
+from logs.ros.cloud_points import MAX_ELEVATION, Cloud, Plane, decode, horizontal
 from logs.ros.cloud_turns import Grid, TurnScans, find_grid
 from logs.ros.messages import header
 from logs.ros.poses import FIXED_FRAMES, FLOOR_FRAME, base_of
@@ -21,6 +21,9 @@ from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, transform_t
 from logs.ros.transform_tree import TransformTree, to_matrices
 from logs.transforms import to_translation_quaternion
 from logs.types import Floats
+
+N_FIRST_CLOUDS = 20
+"""Number of clouds from which rings, bearings and the rotation are determined."""
 
 REGISTERED_FRAMES = (*FIXED_FRAMES, "camera_init")
 """Frames of clouds that a mapping node has registered."""
@@ -75,7 +78,7 @@ def scans_of_clouds(
         for logged, payload in recording.again(name):
             yield logged, decode(bytes(payload), name, topic.encoding, rotation)
 
-    first = [cloud for _, cloud in islice(clouds(), SETTINGS.look)]
+    first = [cloud for _, cloud in islice(clouds(), N_FIRST_CLOUDS)]
     if not first:
         raise LogError(f"{name} has no readable point cloud")
     frame = first[0].frame
@@ -147,7 +150,7 @@ def _first(tree: TransformTree, frame: str, other: str) -> Floats | None:
 
 def _plane(clouds: Sequence[Cloud], level: _Level, heights: tuple[float, float] | None) -> Plane:
     if heights is None:
-        return horizontal(clouds, is_level=level.tilt <= SETTINGS.band)
+        return horizontal(clouds, is_level=level.tilt <= MAX_ELEVATION)
     low, high = heights
     text = f"points from {low:g} to {high:g} m above {level.ground}, the nearest in each direction"
     return Plane(heights=(low - level.height, high - level.height), text=text, is_slice=True)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from logs.resampling import SAME_BEARING, resample, take_nearest
 from logs.ros import cdr
-from logs.ros.cloud_points import SETTINGS
+from logs.ros.cloud_turns import MIN_WHOLE
 from logs.ros.laser_scan import ShapeCensus
 from logs.ros.messages import header
 from logs.ros.recording import SCAN_TYPE, Topic, logged_times
@@ -176,7 +176,7 @@ def _cut(
             )
         )
         shares.append(is_measured.mean())
-    whole = np.array(shares) >= SETTINGS.whole * np.median(shares)
+    whole = np.array(shares) >= MIN_WHOLE * np.median(shares)
     stamps, logged, taken, strong = zip(
         *(row for row, is_whole in zip(rows, whole, strict=True) if is_whole), strict=True
     )
