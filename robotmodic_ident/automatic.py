@@ -4,6 +4,8 @@ It selects lags, degree, terms and saturation limits. Each fold holds out the ou
 are searched by the simulation error on the remaining samples. Models of every size then run freely through the
 held-out block, which requires only the inputs. The smallest model within one standard error of the best is selected,
 and the search is repeated with all data.
+
+Compare the selected model with alternatives over whole records: linear models, friction, unsigned outputs.
 """
 
 from __future__ import annotations
@@ -17,22 +19,28 @@ from itertools import pairwise
 import numpy as np
 
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.estimation.prediction_error import LevenbergMarquardt
 from robotmodic_ident.fitting import fit, refined
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.records import Record, Records, as_records, check_names, cut
 from robotmodic_ident.selection.candidates import dictionary, linear_part, output_limits
-from robotmodic_ident.selection.free_run_terms import (
-    SHORT_DESCENT,
-    FreeRunTerms,
-    Simulated,
-)
-from robotmodic_ident.selection.hidden_stretches import HiddenStretches
+from robotmodic_ident.selection.free_run_terms import MAX_TERMS, SHORT_DESCENT, FreeRunTerms, Simulated
+from robotmodic_ident.selection.hidden_stretches import HiddenStretches, whole_mean_square
+from robotmodic_ident.selection.readable_forms import friction_models, magnitude_models
 from robotmodic_ident.terms import Terms
-from robotmodic_ident.trials import AUTO, AutoSettings, Trial
-from robotmodic_ident.whole_records import linear_trial, other_forms, over_whole_records, unexplained
+from robotmodic_ident.trials import AUTO, MIN_ORDER_GAIN, AutoSettings, Trial
 
 logger = logging.getLogger(__name__)
+
+PATIENCE = 2
+"""Number of consecutive orders without a gain after which the search ends."""
+MIN_ONE_STEP_GAIN = 0.15
+"""Minimum relative decrease of the one-step error of a linear model for a larger order."""
+MIN_LIMIT_GAIN = 0.02
+"""Minimum relative decrease of the RMSE for keeping saturation limits."""
+N_PIECES = 4
+"""Number of pieces per record if the records are longer than `AutoSettings.max_rows`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,14 +77,12 @@ def auto_fit(
     check_names(output, inputs)
     records = as_records(records)
     searched = _searched(records, settings)
-    stretches = HiddenStretches(
-        records=searched, output=output, n_folds=settings.n_folds, warm_up=settings.warm_up
-    )
+    stretches = HiddenStretches(records=searched, output=output, n_folds=settings.n_folds)
     trials: list[Trial] = []
 
     def tried(order: int, degree: int, limits: tuple[float, float]) -> Trial:
         terms = dictionary(output, inputs, order, degree, settings.max_product_lag)
-        trial = _cross_validated(stretches, terms, order, degree, limits, settings)
+        trial = _cross_validated(stretches, terms, order, degree, limits)
         logger.info("order %d, degree %d: %d terms, RMSE %.4g", order, degree, trial.n_terms, trial.rmse)
         trials.append(trial)
         return trial
@@ -86,23 +92,23 @@ def auto_fit(
     best = _best_degree(tried, first, limits, settings)
     idle = 0
     for order in longer:
-        if idle == settings.patience:
+        if idle == PATIENCE:
             break
         now = tried(order, best.degree, best.limits)
-        best, idle = (now, 0) if now.beats(best, settings) else (best, idle + 1)
+        best, idle = (now, 0) if now.beats(best) else (best, idle + 1)
     if not np.isfinite(best.rmse):
         raise IdentError(
             f"every model of {output} diverges in free run over the held-out blocks; use longer records, or "
             "fit one step ahead"
         )
     terms = dictionary(output, inputs, best.order, best.degree, settings.max_product_lag)
-    model = _final(stretches, records, terms, best, settings)
+    model = _final(stretches, records, terms, best)
     others: list[Trial] = []
     if sum(map(len, searched)) != sum(map(len, records)):
         others = [*trials, linear_trial(records, best, inputs, settings)]
-    if unexplained(model, records, settings) > settings.min_unexplained:
+    if unexplained(model, records) > settings.min_unexplained:
         others += other_forms(records, best, inputs, settings)
-    model, best = over_whole_records(model, best, others, records, settings)
+    model, best = over_whole_records(model, best, others, records)
     return AutoFit(model=model, chosen=best, trials=tuple(trials))
 
 
@@ -115,9 +121,9 @@ def linear_orders(
 ) -> tuple[int, ...]:
     """Return the orders for the search of nonlinear terms, preselected with linear models, which are cheap to fit.
 
-    The first order is the smallest one that no larger order beats in free run by `min_order_gain` and in every fold.
+    The first order is the smallest one that no larger order beats in free run by `MIN_ORDER_GAIN` and in every fold.
     With too few lags, products of signals would fit spurious effects. The last order is the one beyond which the
-    one-step error decreases by less than `min_one_step_gain`. The one-step error also reveals dynamics that the free
+    one-step error decreases by less than `MIN_ONE_STEP_GAIN`. The one-step error also reveals dynamics that the free
     run of a linear model misses because of the nonlinear part. It is, however, sensitive to noise of the output, which
     calls for more lags than the process has.
     """
@@ -127,27 +133,25 @@ def linear_orders(
         terms = dictionary(stretches.output, inputs, order, 1, settings.max_product_lag)
         with suppress(IdentError):  # it diverges, or the records are too short for so many lags
             one_step[i] = _linear_start(records, stretches.output, terms, limits).sigma
-            in_free_run[i] = _linear_errors(stretches, terms, limits, settings)
+            in_free_run[i] = _linear_errors(stretches, terms, limits)
         rmse = np.sqrt(in_free_run[i].mean())
         logger.info("order %d, linear: RMSE %.4g in free run, %.4g one step ahead", order, rmse, one_step[i])
     first = last = 0
     for i in range(n):
-        worth = (1.0 - settings.min_order_gain) ** 2 * in_free_run[first].mean()
+        worth = (1.0 - MIN_ORDER_GAIN) ** 2 * in_free_run[first].mean()
         if in_free_run[i].mean() < worth and (in_free_run[i] < in_free_run[first]).all():
             first = i
-        if one_step[i] < one_step[last] * (1.0 - settings.min_one_step_gain):
+        if one_step[i] < one_step[last] * (1.0 - MIN_ONE_STEP_GAIN):
             last = i
     return settings.orders[first : max(first, last) + 1]
 
 
-def _linear_errors(
-    stretches: HiddenStretches, terms: Terms, limits: tuple[float, float], settings: AutoSettings
-) -> list[float]:
+def _linear_errors(stretches: HiddenStretches, terms: Terms, limits: tuple[float, float]) -> list[float]:
     """Return the mean squared error of a linear model on every held-out block, after fitting the other samples."""
     out = []
     for fold, shown in enumerate(stretches.shown):
         start = _linear_start(shown, stretches.output, terms, limits)
-        model = FreeRunTerms(shown, terms, settings.search).started(start).model
+        model = FreeRunTerms(shown, terms).started(start).model
         out.append(stretches.mean_square(model, fold))
     return out
 
@@ -163,7 +167,7 @@ def _best_degree(
     best = tried(order, first, limits)
     if limits != UNLIMITED:
         free = tried(order, first, UNLIMITED)
-        best = best if best.rmse < free.rmse * (1.0 - settings.min_limit_gain) else free
+        best = best if best.rmse < free.rmse * (1.0 - MIN_LIMIT_GAIN) else free
     for degree in others:
         best = min(best, tried(order, degree, best.limits), key=lambda one: one.rmse)
     return best
@@ -176,7 +180,7 @@ def _searched(records: Sequence[Record], settings: AutoSettings) -> list[Record]
         return list(records)
     out = []
     for record in records:
-        edges = np.linspace(0, len(record), settings.n_pieces + 1).round().astype(int)
+        edges = np.linspace(0, len(record), N_PIECES + 1).round().astype(int)
         for first, last in pairwise(edges.tolist()):
             n = int(np.ceil((last - first) * settings.max_rows / total))
             out.append(cut(record, slice(first, first + n)))
@@ -189,18 +193,17 @@ def _cross_validated(
     order: int,
     degree: int,
     limits: tuple[float, float],
-    settings: AutoSettings,
 ) -> Trial:
     """Cross-validate one dictionary; return the smallest model within one standard error of the best.
 
     Each fold holds out one block of every record (one-standard-error rule: Breiman et al. 1984, sec. 3.4.3).
     """
-    most = settings.search.max_terms
-    errors = np.full((settings.n_folds, most + 1), np.inf)
+    most = MAX_TERMS
+    errors = np.full((stretches.n_folds, most + 1), np.inf)
     paths: list[dict[int, Simulated]] = []
     for i, shown in enumerate(stretches.shown):
         try:
-            path = _path(shown, stretches.output, terms, limits, settings)
+            path = _path(shown, stretches.output, terms, limits)
         except IdentError:
             continue
         paths.append(path)
@@ -229,11 +232,10 @@ def _path(
     output: str,
     terms: Terms,
     limits: tuple[float, float],
-    settings: AutoSettings,
 ) -> dict[int, Simulated]:
     """Search the best models of every size, starting from the linear model."""
     start = _linear_start(records, output, terms, limits)
-    return FreeRunTerms(records, terms, settings.search).path(start)
+    return FreeRunTerms(records, terms).path(start)
 
 
 def _linear_start(
@@ -249,17 +251,16 @@ def _final(
     records: Sequence[Record],
     terms: Terms,
     best: Trial,
-    settings: AutoSettings,
 ) -> Narmax:
     """Estimate on all records the structure with the least error on held-out blocks.
 
     The candidates are the structure found with all data, and those found in the folds. The result of a search depends
     on the data, and a structure with poorly determined coefficients has a large error in other folds.
     """
-    path = _path(stretches.records, stretches.output, terms, best.limits, settings)
+    path = _path(stretches.records, stretches.output, terms, best.limits)
     size = min(path, key=lambda k: (abs(k - best.n_terms), k))
     tried = (path[size].model, *best.found)
-    errors = [_structure_error(model, stretches, terms, settings) for model in tried]
+    errors = [_structure_error(model, stretches, terms) for model in tried]
     model = replace(tried[int(np.argmin(errors))], notes=path[size].model.notes)
     model = refined(model, records, "simulation", "hac")
     note = (
@@ -269,9 +270,7 @@ def _final(
     return replace(model, notes=(*model.notes, note), stop="cv")
 
 
-def _structure_error(
-    model: Narmax, stretches: HiddenStretches, terms: Terms, settings: AutoSettings
-) -> float:
+def _structure_error(model: Narmax, stretches: HiddenStretches, terms: Terms) -> float:
     """Return the mean squared error of a structure on held-out blocks; inf if it diverges.
 
     The coefficients are estimated on the other samples of each fold.
@@ -279,8 +278,103 @@ def _structure_error(
     squares = []
     for i, shown in enumerate(stretches.shown):
         try:
-            there = FreeRunTerms(shown, terms, settings.search).minimised(model, model.theta, SHORT_DESCENT)
+            there = FreeRunTerms(shown, terms).minimised(model, model.theta, SHORT_DESCENT)
         except IdentError:
             return float("inf")
         squares.append(stretches.mean_square(there.model, i))
     return float(np.mean(squares))
+
+
+MIN_WHOLE_GAIN = 0.2
+"""Minimum relative decrease of the RMSE over whole records for replacing the selected model."""
+MAX_WHOLE_LOSS = 0.1
+"""Maximum relative increase of the RMSE over whole records in exchange for fewer terms."""
+MAX_FRICTION_ROWS = 25_000
+"""Number of samples, from the start of the records, for estimating friction; a motor drifts slowly."""
+
+
+def over_whole_records(
+    model: Narmax, best: Trial, trials: Sequence[Trial], records: Sequence[Record]
+) -> tuple[Narmax, Trial]:
+    """Return the model, or an alternative with a far smaller free-run error over whole records.
+
+    A search on pieces of a long record does not measure the drift of a free run over the whole record, which is large
+    for an integrating output. Friction and unsigned outputs cannot be described by polynomials.
+    """
+
+    def error(one: Narmax) -> float:
+        return whole_mean_square(one, records)
+
+    found = [(error(one), one, trial) for trial in trials for one in trial.found]
+    if not found:
+        return model, best
+    worth = min(found, key=lambda one: one[0])[0] * (1.0 + MAX_WHOLE_LOSS) ** 2
+    least, other, trial = min(
+        (one for one in found if one[0] <= worth), key=lambda one: len(one[1].terms), default=found[0]
+    )
+    if not least < (1.0 - MIN_WHOLE_GAIN) ** 2 * error(model):
+        return model, best
+    kept = other
+    if not other.is_magnitude:
+        descended = refined(other, records, "simulation", "hac")
+        stay = LevenbergMarquardt(max_steps=0)
+        kept = descended if error(descended) < least else refined(other, records, "simulation", "hac", stay)
+    note = f"this model has the least free-run error over whole records: order {trial.order}, degree {trial.degree}"
+    return replace(kept, notes=(*kept.notes, note), stop="cv"), replace(trial, rmse=float(np.sqrt(least)))
+
+
+def unexplained(model: Narmax, records: Sequence[Record]) -> float:
+    """Return the free-run RMSE over whole records divided by the standard deviation of the output."""
+    spread = np.nanstd(np.concatenate([record.signals[model.output] for record in records]))
+    return float(np.sqrt(whole_mean_square(model, records)) / max(spread, 1e-300))
+
+
+def linear_trial(
+    records: Sequence[Record], best: Trial, inputs: Sequence[str], settings: AutoSettings
+) -> Trial:
+    """Return linear models estimated in free run over one long section at the start of every record."""
+    heads = _heads(records, 2 * settings.max_rows)
+    output = best.found[0].output
+    found = []
+    for order in dict.fromkeys((settings.orders[0], best.order)):
+        terms = dictionary(output, inputs, order, 1, settings.max_product_lag)
+        with suppress(IdentError):
+            found.append(
+                fit(
+                    heads,
+                    output,
+                    terms,
+                    n_terms=len(terms),
+                    search="forward",
+                    estimator="simulation",
+                    limits=best.limits,
+                )
+            )
+    return replace(
+        best, degree=1, n_candidates=len(terms), n_terms=len(terms), rmse=float("nan"), found=tuple(found)
+    )
+
+
+def other_forms(
+    records: Sequence[Record], best: Trial, inputs: Sequence[str], settings: AutoSettings
+) -> list[Trial]:
+    """Return linear models with dry friction, and linear models of a signed output with measured magnitude."""
+    output, out = best.found[0].output, []
+    heads = _heads(records, MAX_FRICTION_ROWS)
+    order = settings.orders[0]
+    found = {order: friction_models(heads, output, inputs, order, best.limits)}
+    if (
+        best.limits[1] == UNLIMITED[1]
+    ):  # a magnitude often rests at its minimum 0, so only the upper limit counts
+        heads = _heads(records, 2 * settings.max_rows)
+        for order in (order for order in settings.orders if order <= settings.max_magnitude_order):
+            found[order] = [*found.get(order, []), *magnitude_models(heads, output, inputs, order)]
+    for order, models in found.items():
+        out += [replace(best, order=order, degree=1, n_terms=len(m.terms), found=(m,)) for m in models]
+    return out
+
+
+def _heads(records: Sequence[Record], n: int) -> list[Record]:
+    """Return the start of every record, about n samples in total."""
+    share = n / sum(map(len, records))
+    return [cut(record, slice(0, int(share * len(record)) + 1)) for record in records]

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from robotmodic_ident.errors import IdentError
-from robotmodic_ident.estimation.simulation_error import initial_outputs
+from robotmodic_ident.estimation.simulation_error import initial_outputs, with_signs
 from robotmodic_ident.files import atomic_file
 from robotmodic_ident.notation.expand import expand, unscaled
 from robotmodic_ident.notation.model_file import from_plain, to_plain
@@ -24,7 +24,6 @@ from robotmodic_ident.notation.printing import (
     sum_text,
     total_size,
 )
-from robotmodic_ident.prediction.magnitude import with_signs
 from robotmodic_ident.prediction.recursion import UNLIMITED, Recursion, Segment
 from robotmodic_ident.records import Record, as_records, padded_before
 from robotmodic_ident.scale import UNSCALED, Scale

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robotmodic_ident.model import Narmax
-from robotmodic_ident.selection.free_run_terms import FREE_RUN_SEARCH, FreeRunSearch
-from robotmodic_ident.selection.hidden_stretches import WARM_UP, WarmUp
+
+MIN_ORDER_GAIN = 0.2
+"""Minimum relative decrease of the RMSE for a larger order: the spread over folds of about 1,000 samples."""
+MIN_SURE_GAIN = 0.1
+"""Minimum relative decrease of the RMSE for a larger order if the error decreases in every fold."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,38 +18,18 @@ class AutoSettings:
 
     orders: tuple[int, ...] = (2, 3, 4, 6, 8, 12)
     """[samples] maximum lags of output and inputs to try."""
-    patience: int = 2
-    """Number of consecutive orders without a gain after which the search ends."""
-    min_order_gain: float = 0.2
-    """Minimum relative decrease of the RMSE for a larger order: the spread over folds of about 1,000 samples."""
-    min_sure_gain: float = 0.1
-    """Minimum relative decrease of the RMSE for a larger order if the error decreases in every fold."""
-    min_one_step_gain: float = 0.15
-    """Minimum relative decrease of the one-step error of a linear model for a larger order."""
     degrees: tuple[int, ...] = (2, 3, 1)
     """Degrees to try at the order of the linear dynamics; larger orders use the best one."""
     max_product_lag: int = 3
     """[samples] maximum lag in terms of degree 2 and above; terms with larger lags are linear."""
     n_folds: int = 5
-    min_whole_gain: float = 0.2
-    """Minimum relative decrease of the RMSE over whole records for replacing the selected model."""
+    """Number of blocks of every record, each of which is held out in turn."""
     min_unexplained: float = 0.01
     """Free-run RMSE over the standard deviation of the output above which friction and unsigned outputs are tried."""
-    max_friction_rows: int = 25_000
-    """Number of samples, from the start of the records, for estimating friction; a motor drifts slowly."""
     max_magnitude_order: int = 4
     """[samples] maximum lag of the signed output of a magnitude model."""
-    max_whole_loss: float = 0.1
-    """Maximum relative increase of the RMSE over whole records in exchange for fewer terms."""
     max_rows: int = 3_000
     """Number of samples for the search of terms, in pieces spread over the records; the final fit uses all samples."""
-    n_pieces: int = 4
-    """Number of pieces per record if the records are longer than `max_rows`."""
-    warm_up: WarmUp = WARM_UP
-    """Start of every record that is never held out."""
-    min_limit_gain: float = 0.02
-    """Minimum relative decrease of the RMSE for keeping saturation limits."""
-    search: FreeRunSearch = FREE_RUN_SEARCH
 
 
 AUTO = AutoSettings()
@@ -71,8 +54,8 @@ class Trial:
     found: tuple[Narmax, ...] = ()
     """The model of that size from every fold."""
 
-    def beats(self, other: Trial, settings: AutoSettings) -> bool:
+    def beats(self, other: Trial) -> bool:
         """Return whether the gain over a smaller dictionary justifies the additional terms."""
         everywhere = all(mine < its for mine, its in zip(self.errors, other.errors, strict=True))
-        gain = settings.min_sure_gain if everywhere else settings.min_order_gain
+        gain = MIN_SURE_GAIN if everywhere else MIN_ORDER_GAIN
         return self.rmse < other.rmse * (1.0 - gain)

@@ -24,14 +24,10 @@ from robotmodic_ident.automatic import linear_orders
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import among
 from robotmodic_ident.prediction.recursion import UNLIMITED
+from robotmodic_ident.selection import readable_forms
 from robotmodic_ident.selection.free_run_terms import SHORT_DESCENT, TRIAL, FreeRunTerms
-from robotmodic_ident.selection.hidden_stretches import WARM_UP, HiddenStretches
-from robotmodic_ident.selection.readable_forms import (
-    FrictionSearch,
-    SignSearch,
-    friction_models,
-    magnitude_models,
-)
+from robotmodic_ident.selection.hidden_stretches import HiddenStretches
+from robotmodic_ident.selection.readable_forms import friction_models, magnitude_models
 
 FEW = AutoSettings(orders=(2, 3), degrees=(3,), n_folds=2)
 TRUTH = {"y(k-1)": 1.2, "y(k-2)": -0.5, "u(k-1)": 0.4, "y(k-1)^3": -0.1}
@@ -246,17 +242,20 @@ def pendulum(n: int, seed: int) -> dict[str, np.ndarray]:
     return {"u": u, "y": np.abs(x) + 0.005 * rng.normal(size=n)}
 
 
-def test_friction_of_a_motor_comes_back() -> None:
+def test_friction_of_a_motor_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     record = Record(signals=coasting(800, 33))
-    (model,) = friction_models([record], "y", ["u"], 2, UNLIMITED, FrictionSearch(spans=(1,), shares=(0.03,)))
+    monkeypatch.setattr(readable_forms, "SPANS", (1,))
+    monkeypatch.setattr(readable_forms, "WIDTH_SHARES", (0.03,))
+    (model,) = friction_models([record], "y", ["u"], 2, UNLIMITED)
     (friction,) = [i for i, name in enumerate(model.terms.names) if name.startswith("tanh((y(k-1)-y(k-2))/")]
     assert model.theta[friction] == pytest.approx(-(0.02**2) * 0.25, rel=0.2)
 
 
-def test_the_lost_sign_of_an_output_is_found() -> None:
+def test_the_lost_sign_of_an_output_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     record, fresh = Record(signals=pendulum(400, 41)), pendulum(300, 42)
-    search = SignSearch(time_constants=(4.0,), delays=(2,))
-    (model,) = magnitude_models([record], "y", ["u"], 2, search)
+    monkeypatch.setattr(readable_forms, "TIME_CONSTANTS", (4.0,))
+    monkeypatch.setattr(readable_forms, "DELAYS", (2,))
+    (model,) = magnitude_models([record], "y", ["u"], 2)
     names = found(model)
     assert names["y(k-1)"] == pytest.approx(1.8, abs=0.01)
     assert names["y(k-2)"] == pytest.approx(-0.9, abs=0.01)
@@ -266,7 +265,7 @@ def test_the_lost_sign_of_an_output_is_found() -> None:
     assert np.sqrt(np.mean((run - fresh["y"])[15:] ** 2)) < 0.03 * np.std(fresh["y"])
     assert (again.predict_osa(fresh)[2:] >= 0).all()
     signed = {**fresh, "y": fresh["y"] - 1.0}
-    assert magnitude_models([Record(signals=signed)], "y", ["u"], 2, search) == []
+    assert magnitude_models([Record(signals=signed)], "y", ["u"], 2) == []
 
 
 @pytest.mark.slow
@@ -286,7 +285,7 @@ def test_long_dynamics_are_found_by_linear_models_first() -> None:
     u = rng.normal(size=1500)
     x = lfilter(*first, u)
     record = Record(signals={"u": u, "y": lfilter(*second, x - 0.05 * x**3)})
-    stretches = HiddenStretches(records=[record], output="y", n_folds=3, warm_up=WARM_UP)
+    stretches = HiddenStretches(records=[record], output="y", n_folds=3)
     settings = AutoSettings(orders=(1, 2, 4, 8))
     orders = linear_orders([record], stretches, ["u"], UNLIMITED, settings)
     assert orders[0] == 4

@@ -22,20 +22,12 @@ from robotmodic_ident.records import Record, as_records
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
-
-@dataclass(frozen=True, kw_only=True)
-class OrbitDescent:
-    """Numerical settings of the descent, not fitted to data."""
-
-    taus: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.01)
-    """Ratios tau / sigma, from a first guess to nearly exact dynamics."""
-    max_steps: int = 12
-    """Maximum number of Gauss-Newton steps for each tau."""
-    converged: float = 1e-9
-    """Largest change of the orbit over its span below which the steps end."""
-
-
-ORBIT_DESCENT = OrbitDescent()
+TAUS = (1.0, 0.3, 0.1, 0.03, 0.01)
+"""Ratios tau / sigma, from a first guess to nearly exact dynamics."""
+MAX_STEPS = 12
+"""Maximum number of Gauss-Newton steps for each tau."""
+CONVERGED = 1e-9
+"""Largest change of the orbit over its span below which the steps end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,10 +54,10 @@ def without_noise(model: Narmax, record: Record | Mapping[str, Floats]) -> Denoi
     problem = _OrbitProblem(plain, record)
     x, theta = problem.measured.copy(), plain.theta.copy()
     covariance = plain.covariance
-    for tau in ORBIT_DESCENT.taus:
-        for _ in range(ORBIT_DESCENT.max_steps):
+    for tau in TAUS:
+        for _ in range(MAX_STEPS):
             x, theta, covariance, moved = problem.step(x, theta, tau)
-            if moved < ORBIT_DESCENT.converged:
+            if moved < CONVERGED:
                 break
     noise = float(np.std(problem.measured - x))
     return DenoisedOrbit(

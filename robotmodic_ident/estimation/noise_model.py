@@ -8,7 +8,7 @@ correlation tests of the residual.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,32 +23,24 @@ from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 from robotmodic_ident.validation.residual_tests import validate
 
-
-@dataclass(frozen=True, kw_only=True)
-class NoiseSearch:
-    """Limits of the search for a noise model."""
-
-    max_rounds: int = 8
-    """Maximum number of alternations between selecting process terms and estimating the noise; 2 or 3 are usual."""
-    max_els_steps: int = 30
-    """Maximum number of steps of extended least squares, which ends when a step brings no gain."""
-    els_converged: float = 1e-10
-    """Relative gain of a step below which extended least squares ends."""
-    max_lags: int = 8
-    """[samples] maximum noise lag for `auto`."""
-    patience: int = 2
-    """Maximum number of consecutive lags that do not lower EBIC; for noise with e(k-2) alone, the first does not."""
-    max_products: int = 3
-    """Maximum number of products of noise and signals."""
-    max_product_lag: int = 2
-    """[samples] maximum lag of the noise in products."""
-    alarm: float = 0.05
-    """p-value of the residual test below which another lag is tried; the usual convention."""
-    tested_lags: tuple[int, ...] = (10, 5, 2)
-    """[samples] maximum lags of that test; the first that the number of samples permits is used."""
-
-
-NOISE_SEARCH = NoiseSearch()
+MAX_ROUNDS = 8
+"""Maximum number of alternations between selecting process terms and estimating the noise; 2 or 3 are usual."""
+MAX_ELS_STEPS = 30
+"""Maximum number of steps of extended least squares, which ends when a step brings no gain."""
+ELS_CONVERGED = 1e-10
+"""Relative gain of a step below which extended least squares ends."""
+MAX_LAGS = 8
+"""[samples] maximum noise lag for `auto`."""
+PATIENCE = 2
+"""Maximum number of consecutive lags that do not lower EBIC; for noise with e(k-2) alone, the first does not."""
+MAX_PRODUCTS = 3
+"""Maximum number of products of noise and signals."""
+MAX_PRODUCT_LAG = 2
+"""[samples] maximum lag of the noise in products."""
+ALARM = 0.05
+"""p-value of the residual test below which another lag is tried; the usual convention."""
+TESTED_LAGS = (10, 5, 2)
+"""[samples] maximum lags of that test; the first that the number of samples permits is used."""
 
 
 def noise_terms_of(noise: int | Terms) -> Terms:
@@ -71,7 +63,7 @@ def with_noise(selection: ProcessTermSelection, noise: Terms) -> Narmax:
     then enter a new selection. The result is the extended least squares estimate of the last selection.
     """
     model = selection.select()
-    for _ in range(NOISE_SEARCH.max_rounds):
+    for _ in range(MAX_ROUNDS):
         model = _extended_least_squares(model, selection.records, noise)
         chosen = selection.select_with_noise(_with_least_prediction_error(model, selection.records))
         if set(chosen.terms.names) == set(model.terms.names):
@@ -110,15 +102,13 @@ def _extended_least_squares(model: Narmax, records: Sequence[Record], noise: Ter
     )
     problem = NonlinearLeastSquares(best.recursion(), records)
     least, *_ = problem.evaluate(best.parameters)
-    for _ in range(NOISE_SEARCH.max_els_steps):
+    for _ in range(MAX_ELS_STEPS):
         rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])
         known = np.isfinite(rows.targets[:, 0])
         phi = terms.matrix(rows.columns, model.scale, n=len(known))[known]
         theta = np.linalg.lstsq(phi, rows.targets[known, 0], rcond=None)[0]
         cost, *_ = problem.evaluate(theta)
-        if not cost < least * (
-            1.0 - NOISE_SEARCH.els_converged
-        ):  # no gain, or the noise model is not invertible
+        if not cost < least * (1.0 - ELS_CONVERGED):  # no gain, or the noise model is not invertible
             break
         best, least = replace(best, theta=theta[:n], noise_theta=theta[n:]), cost
     return best
@@ -145,8 +135,8 @@ def best_order(fitted: Callable[[int], Narmax], records: Sequence[Record], n_can
     best = model = fitted(0)
     order, tried, count = 0, 0, model.n_samples
     least = _cost(model, count, n_candidates)
-    for lag in range(1, NOISE_SEARCH.max_lags + 1):
-        if lag - order > NOISE_SEARCH.patience or _is_white(model, records):
+    for lag in range(1, MAX_LAGS + 1):
+        if lag - order > PATIENCE or _is_white(model, records):
             break
         try:
             model = fitted(lag)
@@ -175,7 +165,7 @@ def with_products(
     """
     least = _cost(model, model.n_samples, n_candidates)
     added: list[str] = []
-    while len(added) < NOISE_SEARCH.max_products and not _is_white(model, records, with_inputs=True):
+    while len(added) < MAX_PRODUCTS and not _is_white(model, records, with_inputs=True):
         candidates = _noise_products(model)
         if not len(candidates):
             break
@@ -203,7 +193,7 @@ def _noise_products(model: Narmax) -> Terms:
     ]
     inputs = {v for terms in groups for v in terms.variables if v != model.output}
     signals = dict.fromkeys([*read, f"{model.output}(k-1)", *(f"{name}(k-1)" for name in sorted(inputs))])
-    past = [f"{NOISE_NAME}(k-{lag})" for lag in range(1, NOISE_SEARCH.max_product_lag + 1)]
+    past = [f"{NOISE_NAME}(k-{lag})" for lag in range(1, MAX_PRODUCT_LAG + 1)]
     names = [f"{signal}*{e}" for signal in signals for e in past]
     names += [f"{e}*{other}" for i, e in enumerate(past) for other in past[i + 1 :]]
     have = {frozenset(term) for term in model.noise_terms}
@@ -242,11 +232,11 @@ def _is_white(model: Narmax, records: Sequence[Record], *, with_inputs: bool = F
     if with_inputs:
         groups = (model.terms, model.denominator)
         inputs = tuple(dict.fromkeys(v for terms in groups for v in terms.variables))
-    for max_lag in NOISE_SEARCH.tested_lags:
+    for max_lag in TESTED_LAGS:
         try:
             checks = validate(model, records, max_lag=max_lag, inputs=inputs)
         except IdentError:
             continue
         p_values = [c.p_value for c in checks if c.test.startswith("e-e")]
-        return min(p_values) >= NOISE_SEARCH.alarm / len(p_values)
+        return min(p_values) >= ALARM / len(p_values)
     return True

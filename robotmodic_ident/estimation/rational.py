@@ -21,25 +21,17 @@ from robotmodic_ident.selection.criteria import penalties
 from robotmodic_ident.terms import CONSTANT, Terms
 from robotmodic_ident.types import Floats
 
-
-@dataclass(frozen=True, kw_only=True)
-class RationalSearch:
-    """Limits of the search for a rational model; numerical, not reached by the examples in the tests."""
-
-    max_reweightings: int = 20
-    """Maximum number of solutions of the linear form with rows divided by the last denominator."""
-    reweighting_converged: float = 1e-10
-    """Relative gain of such a solution below which the iteration ends."""
-    max_additions: int = 30
-    """Maximum number of terms added during the search."""
-    start_up: int = 10
-    """[samples] after the largest lag that are not scored, because the noise before the start is unknown.
-    All structures are compared on the same samples, also those with smaller lags."""
-    min_gain: float = 1e-9
-    """Minimum relative decrease of the criterion for a change of the structure."""
-
-
-RATIONAL_SEARCH = RationalSearch()
+MAX_REWEIGHTINGS = 20
+"""Maximum number of solutions of the linear form with rows divided by the last denominator."""
+REWEIGHTING_CONVERGED = 1e-10
+"""Relative gain of such a solution below which the iteration ends."""
+MAX_ADDITIONS = 30
+"""Maximum number of terms added during the search."""
+START_UP = 10
+"""[samples] after the largest lag that are not scored, because the noise before the start is unknown.
+All structures are compared on the same samples, also those with smaller lags."""
+MIN_GAIN = 1e-9
+"""Minimum relative decrease of the criterion for a change of the structure."""
 
 
 def times_output(denominator: Terms, output: str) -> Terms:
@@ -79,12 +71,12 @@ def _reweighted(model: Narmax, records: Sequence[Record], upper: Terms, lower: T
     bottom = lower.matrix(rows.columns, model.scale, n=len(known))[known]
     d, least = np.ones(len(y)), np.inf
     best: Floats = np.zeros(len(upper) + len(lower))
-    for _ in range(RATIONAL_SEARCH.max_reweightings):
+    for _ in range(MAX_REWEIGHTINGS):
         phi = np.column_stack([top, -y[:, None] * bottom])
         theta = np.linalg.lstsq(phi / d[:, None], y / d, rcond=None)[0]
         d = 1.0 + bottom @ theta[len(upper) :]
         cost = float(np.sum((y - top @ theta[: len(upper)] / d) ** 2))
-        if not np.isfinite(cost) or cost >= least * (1.0 - RATIONAL_SEARCH.reweighting_converged):
+        if not np.isfinite(cost) or cost >= least * (1.0 - REWEIGHTING_CONVERGED):
             break
         best, least = theta, cost
     err = dict(zip(model.terms.names, model.err.tolist(), strict=True))
@@ -129,7 +121,7 @@ class RationalStructureSearch:
         return best.model
 
     def _grown(self, best: _Candidate) -> _Candidate:
-        for _ in range(RATIONAL_SEARCH.max_additions):
+        for _ in range(MAX_ADDITIONS):
             name, start = self._most_promising(best)
             if start is None:
                 break
@@ -138,7 +130,7 @@ class RationalStructureSearch:
                 shrunk := self._without_least(grown, keep=name)
             ) is not None and shrunk.value < grown.value:
                 grown = shrunk
-            if not grown.value < best.value - RATIONAL_SEARCH.min_gain * abs(best.value):
+            if not grown.value < best.value - MIN_GAIN * abs(best.value):
                 break
             best = grown
         return best
@@ -147,7 +139,7 @@ class RationalStructureSearch:
         """Return the best structure found while dropping terms one by one, or the given one."""
         least, now = best, self._without_least(best)
         while now is not None:
-            if now.value < least.value - RATIONAL_SEARCH.min_gain * abs(least.value):
+            if now.value < least.value - MIN_GAIN * abs(least.value):
                 least = now
             now = self._without_least(now)
         return least
@@ -155,7 +147,7 @@ class RationalStructureSearch:
     def _problem(self, model: Narmax) -> NonlinearLeastSquares:
         """Return the least squares of a structure on the samples that all structures predict, if there are enough."""
         longest = (self.upper + self.lower + model.noise_terms).max_lag
-        first = longest + (RATIONAL_SEARCH.start_up if len(model.noise_terms) else 0)
+        first = longest + (START_UP if len(model.noise_terms) else 0)
         longest_part = max(s.stop - s.start for record in self.records for s in record.segments())
         return NonlinearLeastSquares(
             model.recursion(), self.records, first if longest_part > 10 * first else 0

@@ -31,23 +31,16 @@ SHOOTING_LENGTHS = (3, 10, 30, 100, 300, 1000)
 """[samples] lengths of the sections for multiple shooting, if a free run over the whole record diverges."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FreeRunSearch:
-    """Limits of the search by the simulation error."""
-
-    max_terms: int = 30
-    """Maximum number of terms."""
-    trials: int = 3
-    """Number of most promising terms that are tried by a descent at each size."""
-    min_gain: float = 1e-2
-    """Minimum relative decrease of the sum of squares for a larger model."""
-    max_loss: float = 0.02
-    """Maximum relative increase of the sum of squares for removing a term of the initial model."""
-    patience: int = 2
-    """Number of consecutive sizes without that decrease after which the search ends."""
-
-
-FREE_RUN_SEARCH = FreeRunSearch()
+MAX_TERMS = 30
+"""Maximum number of terms."""
+N_TRIALS = 3
+"""Number of most promising terms that are tried by a descent at each size."""
+MIN_GAIN = 1e-2
+"""Minimum relative decrease of the sum of squares for a larger model."""
+MAX_LOSS = 0.02
+"""Maximum relative increase of the sum of squares for removing a term of the initial model."""
+PATIENCE = 2
+"""Number of consecutive sizes without that decrease after which the search ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +61,6 @@ class FreeRunTerms:
     records: Sequence[Record]
     terms: Terms
     """Candidates."""
-    settings: FreeRunSearch = FREE_RUN_SEARCH
 
     def path(self, start: Narmax) -> dict[int, Simulated]:
         """Return size -> best model of that size.
@@ -83,13 +75,13 @@ class FreeRunTerms:
         now = self.started(start)
         best: dict[int, Simulated] = {}
         now, idle = self._pruned(now, best), 0
-        while len(now.model.terms) < self.settings.max_terms and idle < self.settings.patience:
+        while len(now.model.terms) < MAX_TERMS and idle < PATIENCE:
             before = min(one.rss for one in best.values())
             grown = self._grown(now)
             if grown is None:
                 break
             now = self._thinned(grown, best)
-            idle = idle + 1 if before - now.rss < self.settings.min_gain * before else 0
+            idle = idle + 1 if before - now.rss < MIN_GAIN * before else 0
         return best
 
     def started(self, start: Narmax) -> Simulated:
@@ -131,7 +123,7 @@ class FreeRunTerms:
         except IdentError:
             return None
         tried = []
-        for j in np.argsort(-gain, kind="stable")[: self.settings.trials].tolist():
+        for j in np.argsort(-gain, kind="stable")[:N_TRIALS].tolist():
             if gain[j] <= 0.0:
                 continue
             larger = among(now.model, now.model.terms + self.terms[[j]])
@@ -154,10 +146,10 @@ class FreeRunTerms:
         return now
 
     def _pruned(self, now: Simulated, best: dict[int, Simulated]) -> Simulated:
-        """Remove terms while the loss is below `max_loss`; return the last such model."""
+        """Remove terms while the loss is below `MAX_LOSS`; return the last such model."""
         self._remember(now, best)
         while len(now.model.terms) > 1 and (trial := self._shrunk(now)) is not None:
-            if trial.rss > now.rss * (1.0 + self.settings.max_loss):
+            if trial.rss > now.rss * (1.0 + MAX_LOSS):
                 break
             self._remember(trial, best)
             now = trial
@@ -174,7 +166,7 @@ class FreeRunTerms:
 
     def _remember(self, now: Simulated, best: dict[int, Simulated]) -> bool:
         size = len(now.model.terms)
-        if size not in best or now.rss < best[size].rss * (1.0 - self.settings.min_gain):
+        if size not in best or now.rss < best[size].rss * (1.0 - MIN_GAIN):
             best[size] = now
             return True
         return False

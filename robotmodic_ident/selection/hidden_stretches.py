@@ -15,21 +15,14 @@ from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record
 from robotmodic_ident.types import Floats
 
-
-@dataclass(frozen=True, kw_only=True)
-class WarmUp:
-    """The start of every record, whose measured outputs a free run may use."""
-
-    samples: int = 50
-    max_share: float = 0.25
-    """Maximum share of a short record."""
-
-    def of(self, n: int) -> int:
-        """Return the number of warm-up samples of a record with n samples."""
-        return min(self.samples, int(self.max_share * n))
+WARM_UP, MAX_WARM_UP_SHARE = 50, 0.25
+"""[samples] length of the start of every record, whose measured outputs a free run may use; maximum share of a short
+record."""
 
 
-WARM_UP = WarmUp()
+def warm_up_of(n: int) -> int:
+    """Return the number of warm-up samples of a record with n samples."""
+    return min(WARM_UP, int(MAX_WARM_UP_SHARE * n))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,7 +32,6 @@ class HiddenStretches:
     records: Sequence[Record]
     output: str
     n_folds: int
-    warm_up: WarmUp
 
     @cached_property
     def shown(self) -> list[list[Record]]:
@@ -52,18 +44,18 @@ class HiddenStretches:
     def mean_square(self, model: Narmax, fold: int) -> float:
         """Return the mean square of the free-run residual over the held-out samples of a fold; inf if it diverges."""
         hidden = [self._stretch(len(record), fold) for record in self.records]
-        return free_run_mean_square(model, self.records, self.shown[fold], hidden, self.warm_up)
+        return free_run_mean_square(model, self.records, self.shown[fold], hidden)
 
     def _stretch(self, n: int, fold: int) -> slice:
         """Return the held-out samples of one fold in a record of n samples."""
-        edges = np.linspace(self.warm_up.of(n), n, self.n_folds + 1).round().astype(int)
+        edges = np.linspace(warm_up_of(n), n, self.n_folds + 1).round().astype(int)
         return slice(int(edges[fold]), int(edges[fold + 1]))
 
 
-def whole_mean_square(model: Narmax, records: Sequence[Record], warm_up: WarmUp) -> float:
+def whole_mean_square(model: Narmax, records: Sequence[Record]) -> float:
     """Return the mean square of the free-run residual over whole records; inf if it diverges."""
-    rows = [slice(warm_up.of(len(record)), None) for record in records]
-    return free_run_mean_square(model, records, records, rows, warm_up)
+    rows = [slice(warm_up_of(len(record)), None) for record in records]
+    return free_run_mean_square(model, records, records, rows)
 
 
 def free_run_mean_square(
@@ -71,13 +63,12 @@ def free_run_mean_square(
     records: Sequence[Record],
     shown: Sequence[Record],
     rows: Sequence[slice],
-    warm_up: WarmUp,
 ) -> float:
     """Return the mean square of the residual of a free run through `shown`, over some rows of each record."""
     squares: list[Floats] = []
     for record, part, some in zip(records, shown, rows, strict=True):
         measured = np.asarray(record.signals[model.output], dtype=np.float64)[some]
-        predicted = model.predict_mpo(part, warm_up=warm_up.of(len(record)))[some]
+        predicted = model.predict_mpo(part, warm_up=warm_up_of(len(record)))[some]
         with np.errstate(over="ignore"):
             squares.append(np.nan_to_num((measured - predicted)[np.isfinite(measured)] ** 2, nan=np.inf))
     whole = np.concatenate(squares)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -20,35 +20,22 @@ from robotmodic_ident.selection.candidates import dictionary
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
-
-@dataclass(frozen=True, kw_only=True)
-class FrictionSearch:
-    """Output differences that are tried as the sign of the speed."""
-
-    spans: tuple[int, ...] = (1, 3, 10)
-    """[samples] between the two values; a longer span is less sensitive to noise, a shorter one has less delay."""
-    shares: tuple[float, ...] = (0.003, 0.03)
-    """Widths of tanh as shares of the largest difference; tanh replaces the sign, whose derivative is 0."""
+SPANS = (1, 3, 10)
+"""[samples] between the two values; a longer span is less sensitive to noise, a shorter one has less delay."""
+WIDTH_SHARES = (0.003, 0.03)
+"""Widths of tanh as shares of the largest difference; tanh replaces the sign, whose derivative is 0."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SignSearch:
-    """Settings for detecting a magnitude, guessing its signs and updating them with the resulting model."""
-
-    max_least_share: float = 0.1
-    """Maximum 5 % quantile of a magnitude, as a share of its largest value."""
-    max_negative_share: float = 0.05
-    """Maximum size of negative values of a magnitude, as a share of its largest value."""
-    time_constants: tuple[float, ...] = (1.0, 4.0, 16.0)
-    """[samples] time constants of the smoothed input whose sign is the initial guess."""
-    delays: tuple[int, ...] = (0, 2, 5)
-    """[samples] delays of the smoothed input."""
-    max_rounds: int = 12
-    """Maximum number of updates of the signs."""
-
-
-FRICTION_SEARCH = FrictionSearch()
-SIGN_SEARCH = SignSearch()
+MAX_LEAST_SHARE = 0.1
+"""Maximum 5 % quantile of a magnitude, as a share of its largest value."""
+MAX_NEGATIVE_SHARE = 0.05
+"""Maximum size of negative values of a magnitude, as a share of its largest value."""
+TIME_CONSTANTS = (1.0, 4.0, 16.0)
+"""[samples] time constants of the smoothed input whose sign is the initial guess."""
+DELAYS = (0, 2, 5)
+"""[samples] delays of the smoothed input."""
+MAX_ROUNDS = 12
+"""Maximum number of updates of the signs."""
 
 
 def friction_models(
@@ -57,7 +44,6 @@ def friction_models(
     inputs: Sequence[str],
     order: int,
     limits: tuple[float, float],
-    search: FrictionSearch = FRICTION_SEARCH,
 ) -> list[Narmax]:
     """Return linear models with a friction term tanh((y(k-1) - y(k-1-span)) / width) of the speed of the output.
 
@@ -65,11 +51,11 @@ def friction_models(
     """
     linear = dictionary(output, inputs, order, 1, order)
     out = []
-    for span in search.spans:
+    for span in SPANS:
         largest = _largest_difference(records, output, span)
         if not largest > 0:
             continue
-        for share in search.shares:
+        for share in WIDTH_SHARES:
             terms = linear + Terms.parse(
                 f"tanh(({output}(k-1)-{output}(k-{1 + span}))/{float(f'{share * largest:.2g}')!r})"
             )
@@ -101,7 +87,6 @@ def magnitude_models(
     output: str,
     inputs: Sequence[str],
     order: int,
-    search: SignSearch = SIGN_SEARCH,
 ) -> list[Narmax]:
     """Return a linear model of the signed output of a magnitude; an empty list if the output is not a magnitude.
 
@@ -113,27 +98,25 @@ def magnitude_models(
     values = values[np.isfinite(values)]
     top = float(values.max(initial=0.0))
     if (
-        values.min(initial=0.0) < -search.max_negative_share * top
-        or np.quantile(values, 0.05) > search.max_least_share * top
+        values.min(initial=0.0) < -MAX_NEGATIVE_SHARE * top
+        or np.quantile(values, 0.05) > MAX_LEAST_SHARE * top
     ):
         return []
     terms = dictionary(output, inputs, order, 1, order)
     best, least = None, np.inf
-    for signs in _first_signs(records, inputs, search):
+    for signs in _first_signs(records, inputs):
         with suppress(IdentError):
-            model, error = _with_settled_signs(records, output, terms, signs, search)
+            model, error = _with_settled_signs(records, output, terms, signs)
             if error < least:
                 best, least = model, error
     return [] if best is None else [replace(best, is_magnitude=True)]
 
 
-def _first_signs(
-    records: Sequence[Record], inputs: Sequence[str], search: SignSearch
-) -> Iterator[list[Floats]]:
+def _first_signs(records: Sequence[Record], inputs: Sequence[str]) -> Iterator[list[Floats]]:
     """Yield initial guesses of the signs: (n,) 1 or -1 for every record."""
     for name in inputs:
-        for constant in search.time_constants:
-            for delay in search.delays:
+        for constant in TIME_CONSTANTS:
+            for delay in DELAYS:
                 stay = np.exp(-1.0 / constant)
                 out = []
                 for record in records:
@@ -145,11 +128,11 @@ def _first_signs(
 
 
 def _with_settled_signs(
-    records: Sequence[Record], output: str, terms: Terms, signs: list[Floats], search: SignSearch
+    records: Sequence[Record], output: str, terms: Terms, signs: list[Floats]
 ) -> tuple[Narmax, float]:
     """Alternate between fitting and updating the signs; return the model and its mean squared error of magnitude."""
     model, error = None, np.inf
-    for _ in range(search.max_rounds):
+    for _ in range(MAX_ROUNDS):
         signed = [
             replace(r, signals={**r.signals, output: np.asarray(r.signals[output]) * s})
             for r, s in zip(records, signs, strict=True)
