@@ -12,7 +12,6 @@ row is the shipped robot as `sensorgraph record` simulates it, with its controll
 
 from __future__ import annotations
 
-from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -21,7 +20,6 @@ from benchmarks.arguments import parser_of
 from planners import Plan, plan
 from planners.arena import Arena, wrap
 from planners.search import area
-from planners.search.settings import AREA
 from planners.types import Bools, Floats
 from sensorgraph.loading import load_arena
 from sensorgraph.planning.plan_folder import counted
@@ -47,7 +45,7 @@ def main() -> None:
     arena = load_arena(options.arena)
     plans = {"inner half": plan(arena, load_robot(None))}
     roomy = area.search_area(plans["inner half"].reach).inner
-    with mock.patch.object(area, "AREA", replace(AREA, min_inner_share=np.inf)):
+    with mock.patch.object(area, "MIN_INNER_SHARE", np.inf):
         plans["anywhere"] = plan(arena, load_robot(None))
     for name, made in plans.items():
         print(f"{name:10}: T / T_ref {made.report['ratio']:.3f}")

@@ -9,7 +9,7 @@ from importlib import import_module
 import numpy as np
 
 from planners.errors import PlanError
-from planners.settings import JOIN_PLANNERS
+from planners.joins.ompl_process import JOIN_PLANNERS
 from planners.task import ORDERS
 from planners.types import Floats
 from planners.vehicle import Vehicle

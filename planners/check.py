@@ -17,10 +17,18 @@ import shapely
 from numpy.typing import NDArray
 
 from planners.arena import Arena, wrap
-from planners.settings import CHECK
 from planners.trajectory import Trajectory
 from planners.types import Floats
 from planners.vehicle import Vehicle
+
+LIMIT_SHARE = 0.01
+"""Share of a limit by which it may be exceeded, due to the rounding of trajectory.csv (6 decimals at 50 Hz)."""
+SLIP = 2e-4
+"""[m, rad] Maximum difference of a pose from the integral of the twists over one sample, due to that rounding."""
+ANCHOR_STRIDE = 10
+"""Samples between two exact distances. Between them a lower bound is used where it suffices."""
+EXACT_MARGIN = 0.01
+"""[m] above the smallest exact distance, within which bounds are replaced by exact distances."""
 
 KINDS = ("v", "omega", "a", "alpha", "curvature", "continuity", "clearance")
 
@@ -92,7 +100,7 @@ def _motion(trajectory: Trajectory, vehicle: Vehicle) -> dict[str, int]:
     """Count the samples that exceed a limit or do not follow from the sample before."""
     limits, dt = vehicle.limits, np.diff(trajectory.stamps)
     v, omega = trajectory.twists.T
-    most = 1 + CHECK.limit_share
+    most = 1 + LIMIT_SHARE
     found = {
         "v": int((abs(v) > limits.v * most).sum()),
         "omega": int((abs(omega) > limits.omega * most).sum()),
@@ -121,7 +129,7 @@ def _discontinuities(trajectory: Trajectory, part: float) -> int:
     """Count samples whose pose does not follow from the one before by the mean twist.
 
     The chord of a step with mean twist (v, omega) has length v dt along the mean heading (Simpson's rule).
-    Deviations up to `CHECK.slip` plus what a change of the twist within one sample can cause are allowed.
+    Deviations up to `SLIP` plus what a change of the twist within one sample can cause are allowed.
 
     Parameters
     ----------
@@ -136,10 +144,10 @@ def _discontinuities(trajectory: Trajectory, part: float) -> int:
     aside = chord[:, 1] * np.cos(middle) - chord[:, 0] * np.sin(middle)
     # within one sample v and omega may change by a dt and alpha dt: bound the error of their mean
     change = abs(np.diff(trajectory.twists, axis=0))
-    loose_m = CHECK.slip + 0.25 * change[:, 0] * dt
-    loose_rad = CHECK.slip + part * change[:, 1] * dt
+    loose_m = SLIP + 0.25 * change[:, 0] * dt
+    loose_rad = SLIP + part * change[:, 1] * dt
     bent = 0.25 * abs(mean[:, 0]) * (abs(turn) + loose_rad)
-    wrong = (abs(ahead - mean[:, 0]) > loose_m + bent * abs(turn)) | (abs(aside) > CHECK.slip + bent)
+    wrong = (abs(ahead - mean[:, 0]) > loose_m + bent * abs(turn)) | (abs(aside) > SLIP + bent)
     wrong |= abs(wrap(turn - mean[:, 1])) > loose_rad
     return int(wrong.sum())
 
@@ -166,18 +174,18 @@ def _distances(points: Floats, walls: _Walls) -> Floats:
     """Return distances (n,) [m] to walls: exact where they may be the smallest, lower bounds elsewhere.
 
     A distance d at a point proves d - |p - q| at another point q at distance |p - q|. Every
-    `CHECK.anchor_stride`-th point is exact and bounds the others.
+    `ANCHOR_STRIDE`-th point is exact and bounds the others.
     """
 
     def exact(some: Floats) -> Floats:
         where = shapely.points(some)
         return np.asarray(shapely.distance(where, walls.lines[walls.tree.nearest(where)]), dtype=np.float64)
 
-    anchors = np.arange(0, len(points), CHECK.anchor_stride)
-    near = np.minimum(np.arange(len(points)) // CHECK.anchor_stride, len(anchors) - 1)
+    anchors = np.arange(0, len(points), ANCHOR_STRIDE)
+    near = np.minimum(np.arange(len(points)) // ANCHOR_STRIDE, len(anchors) - 1)
     known = exact(points[anchors])
     bound: Floats = known[near] - np.hypot(*(points - points[anchors[near]]).T)
     bound[anchors] = known
-    open_ = np.flatnonzero(bound < known.min() + CHECK.exact_margin)
+    open_ = np.flatnonzero(bound < known.min() + EXACT_MARGIN)
     bound[open_] = exact(points[open_])
     return bound

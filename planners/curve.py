@@ -134,6 +134,11 @@ class Curve:
         n = int(np.floor((self.duration - phase) * rate + 1e-9)) + 1
         return self.sample(phase + np.arange(n) / rate)[0]
 
+    @property
+    def end(self) -> Floats:
+        """(3,) pose at the end, with phi wrapped."""
+        return np.asarray(self.sample(np.array([self.duration]))[0][0])
+
     def until(self, stamp: float, alpha: float) -> Curve:
         """Return the curve up to the last rest at or before `stamp` [s].
 

@@ -10,8 +10,10 @@ from scipy import ndimage
 
 from planners.coverage import Coverage
 from planners.reach import Reach
-from planners.settings import STARTS
 from planners.types import Bools, Ints
+
+PROPOSE_ABOVE = 1.2
+"""Minimum ratio of another part's area to the part of the start, above which the other part is proposed."""
 
 REASON_TEXTS: Mapping[str, str] = {
     "no_way_found": "no path found",
@@ -53,7 +55,7 @@ def small_reach_warning(free: Reach) -> str:
         f"only {100 * free.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps narrower "
         f"than {2 * free.clearance:.2f} m"
     )
-    if sizes.max(initial=0) <= STARTS.propose_above * free.mask.sum():
+    if sizes.max(initial=0) <= PROPOSE_ABOVE * free.mask.sum():
         return text
     largest = np.where(parts == sizes.argmax() + 1, free.distance, 0.0)
     x, y = free.nodes(np.nonzero(largest == largest.max()))[0]

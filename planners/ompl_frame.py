@@ -22,8 +22,7 @@ from planners.clearance import Barriers
 from planners.curve import Curve
 from planners.errors import PlanError
 from planners.groups import members
-from planners.joins.ompl_process import INSTALL_HINT
-from planners.joins.settings import JOINS
+from planners.joins.ompl_process import CHECK_STEP, INSTALL_HINT
 from planners.reach import Reach
 from planners.task import PlannedDrive, Task
 from planners.types import Floats, Progress
@@ -109,7 +108,7 @@ def setup_of(
     setup = geometric.SimpleSetup(space)
     information = setup.getSpaceInformation()
     setup.setStateValidityChecker(checks.is_valid)
-    information.setStateValidityCheckingResolution(JOINS.check_step / space.getMaximumExtent())
+    information.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
     if is_certified:
         information.setMotionValidator(CertifiedMotion(information, checks))
     setup.setOptimizationObjective(DrivingTime(information, checks.vehicle))

@@ -6,7 +6,8 @@ joins:
     total = Σ cost[exit of run k, entry of run k + 1].
 
 2-opt reverses a stretch of runs. Or-opt moves one to three runs elsewhere, in either direction. Random
-perturbations of the best tour lead out of local optima.
+perturbations of the best tour lead out of local optima. The constants were set with `python -m
+benchmarks.coverage_planners --planner stop_and_spin` and `--large 50 36`.
 """
 
 from __future__ import annotations
@@ -17,8 +18,18 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from planners.settings import TOURS
 from planners.types import Floats, Ints
+
+KICKS = 60
+"""Number of random perturbations of a finished order; each is kept if it shortens the tour."""
+MAX_MOVES = 4000
+"""Maximum number of improving moves."""
+MANY_ENDS = 1000
+"""Number of lane ends above which paths are searched only nearby and orders are improved by windows."""
+NEAR = 8.0
+"""[m] Search radius of a path when there are many lane ends."""
+WINDOW = 160
+"""Number of lanes improved together when there are many lane ends."""
 
 ROWS_AT_A_TIME = 256
 """Number of lane ends per call of Dijkstra's algorithm."""
@@ -73,12 +84,12 @@ def travel_times(cells: CellGraph, ends: Ints, speed: float, stop: float) -> Flo
     """Return the travel times (len(ends), len(ends)) [s] over clear moves between neighbours.
 
     A path takes its length over `speed` plus `stop`. A pair without a path counts as twice its distance plus
-    5 m. Among many ends, only paths of up to `TOURS.near` are searched.
+    5 m. Among many ends, only paths of up to `NEAR` are searched.
     """
     n = len(cells.index)
     lengths = np.hypot(*(cells.places[cells.pairs[:, 1]] - cells.places[cells.pairs[:, 0]]).T)
     graph = sparse.csr_matrix((np.maximum(lengths, 1e-6), tuple(cells.pairs.T)), shape=(n, n))
-    limit = np.inf if len(ends) <= TOURS.many_ends else TOURS.near
+    limit = np.inf if len(ends) <= MANY_ENDS else NEAR
     far = np.empty((len(ends), len(ends)))
     for rows in range(0, len(ends), ROWS_AT_A_TIME):
         some = np.s_[rows : rows + ROWS_AT_A_TIME]
@@ -91,9 +102,7 @@ def travel_times(cells: CellGraph, ends: Ints, speed: float, stop: float) -> Flo
     return np.asarray(np.where(far > 0, far / speed + stop, 0.0))
 
 
-def tour(
-    cost: Floats, first: int | None, rng: np.random.Generator, kicks: int = TOURS.kicks
-) -> list[tuple[int, bool]]:
+def tour(cost: Floats, first: int | None, rng: np.random.Generator) -> list[tuple[int, bool]]:
     """Order runs by the time of their joins; run k has its ends at rows 2k and 2k + 1 of `cost` (2n, 2n) [s].
 
     Parameters
@@ -108,12 +117,12 @@ def tour(
     if n == 1:
         return [(0, False)]
     order = _Tour.greedy(cost, first)
-    if len(cost) > TOURS.many_ends:
+    if len(cost) > MANY_ENDS:
         order.improve_by_windows()
         return [(int(a) // 2, bool(a % 2)) for a, _ in order.nodes]
     order.improve()
     best, least = order.nodes.copy(), order.total()
-    for _ in range(kicks if n > 8 else 0):
+    for _ in range(KICKS if n > 8 else 0):
         order.kick(rng)
         order.improve()
         total = order.total()
@@ -151,14 +160,14 @@ class _Tour:
 
     def improve(self) -> None:
         """Apply the best reversal or relocation until none shortens the tour."""
-        while self.moves < TOURS.max_moves and (self._reverse() or self._relocate()):
+        while self.moves < MAX_MOVES and (self._reverse() or self._relocate()):
             self.moves += 1
 
     def improve_by_windows(self) -> None:
         """Improve windows that overlap by half; their first and last runs are fixed."""
-        for start in range(0, max(len(self.nodes) - TOURS.window // 2, 1), TOURS.window // 2):
-            stretch = np.s_[start : start + TOURS.window]
-            last = start + TOURS.window >= len(self.nodes)
+        for start in range(0, max(len(self.nodes) - WINDOW // 2, 1), WINDOW // 2):
+            stretch = np.s_[start : start + WINDOW]
+            last = start + WINDOW >= len(self.nodes)
             part = _Tour(self.cost, self.nodes[stretch].copy(), 1 if start else self.fixed, not last)
             part.improve()
             self.nodes[stretch] = part.nodes

@@ -22,14 +22,14 @@ from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.errors import PlanError
 from planners.interrupt import defer_interrupt
+from planners.joins.ompl_process import JOIN_PLANNERS
 from planners.methods import baselines
 from planners.methods.coverage import plan_coverage
 from planners.methods.stop_and_spin import plan_stop_and_spin
 from planners.methods.views import plan_views
-from planners.reach import Reach, ReturnableSet, reach
+from planners.reach import MIN_SHARE, Reach, ReturnableSet, reach
 from planners.report import plan_report, reference_time, session_report
 from planners.sections import check_pose, end_poses, fit_to_budget
-from planners.settings import JOIN_PLANNERS, REACH, STARTS
 from planners.task import JoinCounts, PlannedDrive, Survey, Task
 from planners.trajectory import Trajectory
 from planners.types import Bools, Floats, Progress, Status
@@ -47,6 +47,8 @@ FRAME = "planners.ompl_frame"
 """Module that is imported when a drive is planned; everything else works without OMPL."""
 WALL_MARGIN = 0.02
 """[m] distance of the robot's rim from walls, added to its radius."""
+MIN_DUBINS_SHARE = 0.05
+"""Minimum share of the bins that a Dubins car must cover from its start; other starts are rejected."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -220,7 +222,7 @@ def _empty_grid(free: Reach, headings: int) -> Coverage:
     grid = Coverage.empty(origin=free.origin, cell=free.cell, cells=free.cells(), headings=headings)
     if not grid.reachable.any():
         raise PlanError(
-            f"no {free.cell} m cell has {100 * REACH.min_share:.0f} % of its area within reach; use a smaller cell"
+            f"no {free.cell} m cell has {100 * MIN_SHARE:.0f} % of its area within reach; use a smaller cell"
         )
     return grid
 
@@ -307,7 +309,7 @@ def _dubins_start(
     else:
         found = returnable_set(free, limits, headings, rate, start)
     reachable = grid.reachable & found.bins
-    if reachable.sum() < STARTS.min_dubins_share * grid.reachable.sum():
+    if reachable.sum() < MIN_DUBINS_SHARE * grid.reachable.sum():
         better, _ = best_start(free, limits, headings, rate, seed)
         raise PlanError(
             f"from ({start[0]:.2f}, {start[1]:.2f}, {start[2]:.2f}) the car can reach and return from only "

@@ -2,7 +2,8 @@
 
 Robots that turn in place complete one band of cells after the other. Cars cannot turn within a band: with
 bands of cells their drive took 50 % longer and visited the high-priority bins no earlier. Cars therefore take
-the rooms by mean priority, and within a room the bins of high priority have a higher value.
+the rooms by mean priority, and within a room the bins of high priority have a higher value. The constants
+were set with `python -m benchmarks.doubt_first`.
 """
 
 from __future__ import annotations
@@ -10,8 +11,14 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from planners.settings import PRIORITY
 from planners.types import Bools, Floats, Ints
+
+BANDS = 4
+"""Number of priority levels, driven one after the other."""
+MEDIAN_RADIUS = 0.75
+"""[m] Radius of the median filter over bands: scattered cells cost more driving than they are worth."""
+VALUE_RANGE = 3.0
+"""Value of the bin of highest priority minus that of lowest, for a car's search; the lowest is worth 1."""
 
 
 def cell_bands(priority: Floats | None, todo: Bools, cell: float) -> Ints:
@@ -27,9 +34,9 @@ def cell_bands(priority: Floats | None, todo: Bools, cell: float) -> Ints:
         return band
     cells = np.asarray(todo.any(axis=2))
     score = mean(priority, todo)
-    marks = np.unique(np.quantile(score[cells], np.arange(1, PRIORITY.bands) / PRIORITY.bands))
+    marks = np.unique(np.quantile(score[cells], np.arange(1, BANDS) / BANDS))
     band[cells] = -np.searchsorted(marks, score[cells], side="left")
-    return _middle_of(band, cells, PRIORITY.median_radius / cell)
+    return _middle_of(band, cells, MEDIAN_RADIUS / cell)
 
 
 def room_bands(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints:
@@ -40,22 +47,20 @@ def room_bands(priority: Floats | None, todo: Bools, rooms: list[Bools]) -> Ints
     low, high = score.min(), score.max()
     if high - low <= 1e-9 * max(abs(high), 1.0):
         return np.zeros(len(rooms), dtype=np.int64)
-    return np.asarray(
-        -np.ceil(PRIORITY.bands * (score - low) / (high - low)).clip(1, PRIORITY.bands), dtype=np.int64
-    )
+    return np.asarray(-np.ceil(BANDS * (score - low) / (high - low)).clip(1, BANDS), dtype=np.int64)
 
 
 def bin_values(priority: Floats | None, todo: Bools) -> Floats:
     """Return the value (nx, ny) of a bin in each cell, by the rank of the cell's mean priority.
 
-    Values are from 1 to 1 + PRIORITY.value_range.
+    Values are from 1 to 1 + VALUE_RANGE.
     """
     out = np.ones(todo.shape[:2])
     cells = np.asarray(todo.any(axis=2))
     if priority is None or not cells.any():
         return out
     distinct, rank = np.unique(mean(priority, todo)[cells], return_inverse=True)
-    out[cells] += PRIORITY.value_range * rank / max(len(distinct) - 1, 1)
+    out[cells] += VALUE_RANGE * rank / max(len(distinct) - 1, 1)
     return out
 
 

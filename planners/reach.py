@@ -12,8 +12,19 @@ from scipy import ndimage
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
-from planners.settings import JOIN_PLANNERS, REACH
+from planners.joins.ompl_process import JOIN_PLANNERS
 from planners.types import Bools, Floats
+
+NODE_STEP = 0.02
+"""[m] Upper bound of the node spacing; reduced so that a cell is a whole number of steps."""
+MAX_NODES = 6_000_000
+"""Maximum number of raster nodes; a larger floor gets a larger step."""
+MAX_CELLS = 1_000_000
+"""Maximum number of grid cells; larger grids are rejected."""
+DISTANCE_CAP = 0.45
+"""[m] beyond the clearance, at which distances to walls are capped."""
+MIN_SHARE = 0.04
+"""Minimum reachable share of a cell's area for the cell to count as reachable."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +96,7 @@ class Reach:
 
     def cells(self) -> Bools:
         """Return whether each position cell (nx, ny) counts as reachable."""
-        return np.asarray((self.areas() >= REACH.min_share) & self.blocks(self.mask).any(axis=-1))
+        return np.asarray((self.areas() >= MIN_SHARE) & self.blocks(self.mask).any(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +139,17 @@ def reach(
     """
     x0, y0, x1, y1 = arena.bounds
     nx, ny = (max(math.ceil(round(side / cell, 9)), 1) for side in (x1 - x0, y1 - y0))
-    if nx * ny > REACH.max_cells:
+    if nx * ny > MAX_CELLS:
         raise PlanError(
             f"cell {cell} m makes {nx} x {ny} cells of the {x1 - x0:.1f} x {y1 - y0:.1f} m arena, more than "
-            f"{REACH.max_cells:,}; choose a larger cell, and check that the arena is in metres"
+            f"{MAX_CELLS:,}; choose a larger cell, and check that the arena is in metres"
         )
-    per_cell = max(math.ceil(round(cell / REACH.step, 9)), 1)
-    per_cell = max(min(per_cell, math.isqrt(REACH.max_nodes // (nx * ny))), 2)
+    per_cell = max(math.ceil(round(cell / NODE_STEP, 9)), 1)
+    per_cell = max(min(per_cell, math.isqrt(MAX_NODES // (nx * ny))), 2)
     step = cell / per_cell
     x: Floats = x0 + (np.arange(nx * per_cell, dtype=np.float64) + 0.5) * step
     y: Floats = y0 + (np.arange(ny * per_cell, dtype=np.float64) + 0.5) * step
-    distance = barriers.field(x, y, clearance + REACH.distance_cap)
+    distance = barriers.field(x, y, clearance + DISTANCE_CAP)
     distance[~arena.contains_grid(x, y)] = 0.0
     fits = distance >= clearance
     if not fits.any():

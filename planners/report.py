@@ -1,4 +1,7 @@
-"""The content of plan.json: coverage, time relative to the reference time, constraint checks, and warnings."""
+"""The content of plan.json: coverage, time relative to the reference time, constraint checks, and warnings.
+
+Warnings for a drive that is too fast for its log: poses per bin, and motion during a scan.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,6 @@ from planners import holes
 from planners.battery import Session
 from planners.check import check_parts
 from planners.coverage import Coverage
-from planners.sampling import sampling_warnings
-from planners.settings import STARTS
 from planners.task import PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.vehicle import Vehicle
@@ -22,6 +23,8 @@ logger = logging.getLogger(__name__)
 
 CHECK_RATE = 100.0
 """[Hz] rate of the checked samples."""
+WARN_BELOW = 0.99
+"""A warning is given if the start reaches a smaller share of the places where the robot fits."""
 
 
 def reference_time(grid: Coverage, vehicle: Vehicle) -> float:
@@ -65,7 +68,7 @@ def plan_report(
     gap_m, gap_rad = grid.dispersion()
     start = trajectory.poses[0]
     lines = []
-    if task.reach.share < STARTS.warn_below:
+    if task.reach.share < WARN_BELOW:
         lines.append(holes.small_reach_warning(task.reach))
     if driven.interrupted:
         lines.append(f"planning was interrupted: this plan is shorter and covers {100 * grid.fraction:.1f} %")
@@ -119,3 +122,60 @@ def _version(package: str) -> str:
 
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+MIN_POSES = 2.0
+"""Logged poses per passage through a bin, below which a warning is given: one lost scan would lose the bin."""
+
+
+def sampling_warnings(
+    trajectory: Trajectory, *, cell: float, headings: int, rate: float, sweep_time: float = 0.0
+) -> list[str]:
+    """Return one line for each limit that the drive exceeds.
+
+    Parameters
+    ----------
+    cell : [m] Side of a cell.
+    rate : [Hz] Rate of the log.
+    sweep_time : [s] Duration of one scan.
+    """
+    twists = trajectory.twists
+    v, omega = np.maximum(twists.max(axis=0), -twists.min(axis=0)).tolist()
+    width, found = 2 * np.pi / headings, []
+    if v > 0 and cell * rate / v < MIN_POSES:
+        found.append(
+            f"at {v:.2f} m/s a log of {rate:g} Hz has {_down(cell * rate / v)} poses in a cell of {cell:g} m; for "
+            f"{MIN_POSES:g}, log at {_up(MIN_POSES * v / cell)} Hz or more, drive at {_down(cell * rate / MIN_POSES)} m/s or "
+            "less, or use larger cells"
+        )
+    if omega > 0 and width * rate / omega < MIN_POSES:
+        found.append(
+            f"at {omega:.2f} rad/s a log of {rate:g} Hz has {_down(width * rate / omega)} poses in a heading bin of "
+            f"{np.degrees(width):.3g}°; for {MIN_POSES:g}, log at {_up(MIN_POSES * omega / width)} Hz or more, turn at "
+            f"{_down(width * rate / MIN_POSES)} rad/s or less, or use fewer headings"
+        )
+    if sweep_time * v > cell / 2:
+        found.append(
+            f"at {v:.2f} m/s the robot drives {sweep_time * v:.2g} m while a scan of {sweep_time:g} s is measured, "
+            f"more than half a cell of {cell:g} m; drive at {_down(cell / 2 / sweep_time)} m/s or less, or use "
+            "larger cells"
+        )
+    if sweep_time * omega > width / 2:
+        found.append(
+            f"at {omega:.2f} rad/s the robot turns {np.degrees(sweep_time * omega):.3g}° while a scan of "
+            f"{sweep_time:g} s is measured, more than half a heading bin of {np.degrees(width):.3g}°; turn at "
+            f"{_down(width / 2 / sweep_time)} rad/s or less, or use fewer headings"
+        )
+    return found
+
+
+def _up(value: float) -> str:
+    """Round up to two digits, so that following the advice suffices."""
+    digit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.ceil(value / digit - 1e-9) * digit:.3g}"
+
+
+def _down(value: float) -> str:
+    """Round down to two digits."""
+    digit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.floor(value / digit + 1e-9) * digit:.3g}"

@@ -1,7 +1,8 @@
 """Rooms: parts of the floor that are wide inside and connected by narrow passages; a plan completes one at a time.
 
-The division resembles a watershed. Connected places wider than `ROOMS.passage` are seeds; each cell joins the
-seed nearest over open borders; small rooms are merged, large ones halved.
+The division resembles a watershed. Connected places wider than `PASSAGE` are seeds; each cell joins the
+seed nearest over open borders; small rooms are merged, large ones halved. The constants were set with
+`python -m benchmarks.coverage_planners --arena --random 10 --first 1`.
 """
 
 from __future__ import annotations
@@ -11,8 +12,12 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from planners.reach import Reach
-from planners.settings import ROOMS
 from planners.types import Bools, Floats, Ints
+
+PASSAGE = 0.25
+"""[m] beyond the clearance; a passage narrower than this separates two rooms."""
+MIN_CELLS, MAX_CELLS = 60, 900
+"""Number of cells of a room; smaller rooms are merged with a neighbour, larger ones halved."""
 
 NEIGHBOUR_STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
 """Steps to the neighbours of a cell; bit d of `open_borders` is the neighbour at NEIGHBOUR_STEPS[d]."""
@@ -57,7 +62,7 @@ def rooms(reach: Reach, wanted: Bools) -> list[Bools]:
 def _seeds(reach: Reach) -> Ints:
     """Return the number of the connected wide place in each cell; -1: none."""
     wide = reach.mask & (
-        reach.distance >= reach.clearance + min(ROOMS.passage, reach.distance.max() - reach.clearance)
+        reach.distance >= reach.clearance + min(PASSAGE, reach.distance.max() - reach.clearance)
     )
     parts, _ = ndimage.label(wide)
     return np.asarray(reach.blocks(parts).max(axis=-1) - 1, dtype=np.int64)
@@ -96,7 +101,7 @@ def _merged(labels: Ints, reach: Reach) -> Ints:
         names, sizes = np.unique(labels[labels >= 0], return_counts=True)
         for k in np.argsort(sizes, kind="stable").tolist():
             own = names[k]
-            if sizes[k] >= ROOMS.min_cells:
+            if sizes[k] >= MIN_CELLS:
                 return labels
             adjacent = np.concatenate([pairs[pairs[:, 0] == own, 1], pairs[pairs[:, 1] == own, 0]])
             if len(adjacent):
@@ -111,7 +116,7 @@ def _halved(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
 
     Parts of the rest that are too small stay with the near half.
     """
-    if room.sum() <= ROOMS.max_cells:
+    if room.sum() <= MAX_CELLS:
         return [room]
     parts = _connected_parts(room, graph)
     if len(parts) > 1:
@@ -123,7 +128,7 @@ def _halved(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
     near = np.zeros_like(room)
     near.ravel()[cells[far <= np.median(far)]] = True
     rest = _connected_parts(np.asarray(room & ~near), graph)
-    large = [part for part in rest if part.sum() >= ROOMS.min_cells]
+    large = [part for part in rest if part.sum() >= MIN_CELLS]
     if not large:
         return [room]
     near = np.asarray(room & ~np.any(large, axis=0))

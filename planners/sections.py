@@ -18,12 +18,16 @@ from planners.clearance import Barriers
 from planners.curve import Curve, CurveBuilder, join_curves
 from planners.errors import PlanError
 from planners.joins.car_paths import connect_cars
-from planners.joins.paths import connect
+from planners.joins.paths import join
 from planners.reach import Reach
-from planners.settings import SECTIONS
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import ROUND_OFF, Floats, Ints
 from planners.vehicle import Vehicle
+
+MAX_STUCK = 8
+"""Number of places without a path home after which the cut fails."""
+STEP_BACK = 2.0
+"""[s] by which each attempt ends earlier than the one before."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,7 +125,7 @@ def turning_stops(curve: Curve) -> Floats:
     A continuous spin has one stop per revolution. Turning between two stops is added to the first, so that
     the angles add up to the total turn of the drive.
     """
-    end = curve.sample(np.array([curve.duration]))[0][0]
+    end = curve.end
     phi = np.append(curve.poses[:, 2], 0.0)
     phi[-1] = phi[-2] + wrap(np.float64(end[2] - phi[-2]))
     turning = (abs(curve.twists[:, 1]) > ROUND_OFF) | (abs(curve.rates[:, 1]) > ROUND_OFF)
@@ -188,10 +192,7 @@ class PathCache:
             path, joins = self._paths[back]
             return path[::-1], joins
         if key not in self._paths:
-            task = self.task
-            paths, joins = connect(
-                begin[None], end[None], reach=task.reach, barriers=task.barriers, seed=task.seed
-            )
+            paths, joins = join(self.task, begin[None], end[None])
             if paths[0] is None:
                 raise NoPathError(_no_path(begin, end))
             self._paths[key] = paths[0], joins
@@ -253,9 +254,9 @@ def longest_section(
         try:
             cut = section_up_to(curve, first, last, home, cache, vehicle)
         except NoPathError:
-            if (stuck := stuck + 1) > SECTIONS.max_stuck:
+            if (stuck := stuck + 1) > MAX_STUCK:
                 raise
-            allowed = float(stamps[last] - stamps[first]) - SECTIONS.step_back
+            allowed = float(stamps[last] - stamps[first]) - STEP_BACK
             continue
         over = cut.duration - left
         if over <= ROUND_OFF:

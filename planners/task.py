@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.coverage import Coverage
-from planners.curve import Curve
+from planners.curve import Curve, CurveBuilder
 from planners.reach import Reach, ReturnableSet
 from planners.types import Bools, Floats, Progress, Status
 from planners.vehicle import Vehicle
@@ -110,3 +112,8 @@ class PlannedDrive:
     """Whether Ctrl-C ended the planning; the drive then covers what was planned before."""
     lost: Bools | None = None
     """(nx, ny, n_phi) bins to which OMPL found no path; None: no such bin."""
+
+    @classmethod
+    def of(cls, builder: CurveBuilder, joins: JoinCounts) -> PlannedDrive:
+        """Return the drive of a builder."""
+        return cls(curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=joins)

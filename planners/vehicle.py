@@ -35,6 +35,11 @@ class Limits:
     """[m] minimum turning radius of a car; 0 for a robot that turns in place."""
 
     @property
+    def v_on_arc(self) -> float:
+        """[m/s] maximum speed of a car on an arc of minimum radius, where omega limits it too."""
+        return min(self.v, self.omega * self.turning_radius)
+
+    @property
     def a_on_arc(self) -> float:
         """[m/s²] maximum acceleration of a car on an arc of minimum radius, where alpha limits it too."""
         return min(self.a, self.alpha * self.turning_radius)

@@ -11,8 +11,8 @@ from planners_samples import door_arena, some, task_of
 import planners.cars.reachability as reachability
 import planners.methods.repair_cars as repairs
 from planners.cars.reachability import ReachabilityPlanner, returnable_set
-from planners.cars.search import search_floor
 from planners.check import check
+from planners.methods.coverage_cars import search_floor
 from planners.methods.repair_cars import CarRepair
 from planners.search.log_phases import missed
 from planners.search.room_drive import RoomDrive

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planners.curve import Curve, CurveBuilder, duration, trapezoid
-from planners.methods.settings import SPINS
-from planners.methods.spins import choose_departure, least_sweep
+from planners.methods.spins import GUARD, choose_departure, least_sweep
 from planners.trajectory import Trajectory, read_csv
 from planners.vehicle import Limits
 
@@ -112,7 +111,7 @@ def test_the_least_sweep_passes_every_heading_and_none_shorter_does(
     met = np.unique(np.floor(swept / width + 0.5).astype(int) % 16)
     assert np.isin(missing, met).all()
     if sweep > 0:
-        shorter = swept[: int(20_001 * max(1 - 1.01 * SPINS.guard * width / sweep, 0))]
+        shorter = swept[: int(20_001 * max(1 - 1.01 * GUARD * width / sweep, 0))]
         met = np.unique(np.floor(shorter / width + 0.5).astype(int) % 16) if len(shorter) else []
         here = int(np.floor(phi / width + 0.5)) % 16
         assert not np.isin(missing, met).all() or need[here]

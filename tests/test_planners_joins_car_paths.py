@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from planners.cars.car_curve import arcs_of_curve
 from planners.check import check
 from planners.clearance import Barriers
 from planners.curve import Curve
+from planners.joins import ompl_paths, ompl_process
 from planners.joins.car_paths import connect_cars
 from planners.reach import reach
 from planners.types import Floats
@@ -180,21 +182,30 @@ def test_same_seed_same_ways_whatever_the_process_did_before() -> None:
     assert len(answers) == 1
 
 
-def test_callbacks_of_ompl_hold_nothing_of_ompl_and_answer_with_a_bool() -> None:
-    """A closure over `self` or the space leaks all it holds; a np.bool_ raises std::bad_cast."""
-    source = Path(car_ways.__file__).read_text()
-    callbacks = [
-        node.args[0]
-        for node in ast.walk(ast.parse(source))
+@pytest.mark.parametrize("module", [ompl_paths, car_ways])
+def test_callbacks_of_ompl_hold_nothing_of_ompl_and_answer_with_a_bool(module: ModuleType) -> None:
+    """A closure over a problem or a space leaks all it holds; a np.bool_ raises std::bad_cast."""
+    calls = [
+        ast.unparse(node.args[0])
+        for node in ast.walk(ast.parse(Path(ompl_process.__file__).read_text()))
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Attribute)
         and node.func.attr == "setStateValidityChecker"
     ]
-    assert len(callbacks) == 1
-    own = callbacks[0]
-    assert isinstance(own, ast.Lambda)
-    names = {node.id for node in ast.walk(own) if isinstance(node, ast.Name)}
-    assert names == {"field", "state", "bool"}
-    assert isinstance(own.body, ast.Call)
-    assert isinstance(own.body.func, ast.Name)
-    assert own.body.func.id == "bool"
+    assert calls == ["partial(is_valid, self.field)"]
+    assert module._is_valid.__closure__ is None
+    field = ompl_process.DistanceField(np.full((3, 3), 0.5), np.zeros(2), 0.1)
+    assert {type(value) for value in vars(field).values()} <= {list, tuple, float}
+
+    class State(list[float]):
+        """A state of the plane, and one of a car."""
+
+        def getX(self) -> float:  # noqa: N802
+            return self[0]
+
+        def getY(self) -> float:  # noqa: N802
+            return self[1]
+
+    for clearance, expected in ((0.4, True), (0.6, False)):
+        field.clearance = clearance
+        assert module._is_valid(field, State([0.1, 0.1])) is expected

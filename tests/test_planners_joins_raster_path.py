@@ -9,7 +9,7 @@ from conftest import polygon_arena
 import planners.joins.paths as paths
 from planners.arena import Arena
 from planners.clearance import Barriers
-from planners.joins.raster_path import raster_path
+from planners.joins.paths import raster_path
 from planners.reach import Reach, reach
 from planners.types import Floats
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -11,7 +11,6 @@ from planners_samples import door_arena
 
 from planners import Plan, PlanError, plan
 from planners.methods import anytime, overview
-from planners.methods.settings import OVERVIEW
 from planners.types import Floats
 from planners.vehicle import Limits, Vehicle
 
@@ -123,12 +122,13 @@ def test_what_has_no_order_is_refused(given: dict[str, object], said: str) -> No
 
 def test_rounds_of_spins_see_more_than_a_room_filled_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
     def seen_until(spin_share: float, seconds: float) -> int:
-        monkeypatch.setattr(anytime, "OVERVIEW", replace(OVERVIEW, share=0.02, spin_share=spin_share))
+        monkeypatch.setattr(anytime, "VIEW_SHARE", 0.02)
+        monkeypatch.setattr(anytime, "SPIN_SHARE", spin_share)
         made, survey = planned(radius=0.3, budget=seconds), DiscSurvey(0.3)
         survey.mark(made.curve.log(10.0))
         return len(survey.seen)
 
-    monkeypatch.setattr(overview, "OVERVIEW", replace(OVERVIEW, first_round=10.0))
+    monkeypatch.setattr(overview, "FIRST_ROUND", 10.0)
     assert seen_until(0.5, 120.0) > 1.3 * seen_until(0.0, 120.0)
 
 
@@ -139,7 +139,8 @@ def test_the_search_at_the_end_leaves_out_what_rounds_of_spins_have_completed(
     """The rounds cost their ways, not their whole length."""
 
     def made(spin_share: float) -> Plan:
-        monkeypatch.setattr(anytime, "OVERVIEW", replace(OVERVIEW, share=0.02, spin_share=spin_share))
+        monkeypatch.setattr(anytime, "VIEW_SHARE", 0.02)
+        monkeypatch.setattr(anytime, "SPIN_SHARE", spin_share)
         return planned(radius=0.3)
 
     without, share = made(0.0), 0.4

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from planners_samples import door_arena, task_of
 
 from planners.cars.car_curve import curve_of_arcs
-from planners.methods.partial_drive import PartialDrive
+from planners.methods.repair_cars import PartialDrive
 from planners.search.log_phases import missed
 
 TASK = task_of(door_arena(9.0), "reeds_shepp", np.array([1.0, 1.4, 0.3]))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
@@ -11,14 +9,13 @@ from planners_samples import door_arena, some, task_of
 import planners.joins.paths as connections
 import planners.methods.repair_cars as repairs
 from planners import plan
-from planners.cars.search import search_floor
 from planners.check import check
 from planners.curve import join_curves
 from planners.joins.car_paths import CarPath
 from planners.joins.paths import connect
-from planners.methods.repair_cars import CarRepair
-from planners.methods.repair_spins import SpinRepair
-from planners.methods.settings import CAR_REPAIR
+from planners.methods.coverage_cars import search_floor
+from planners.methods.coverage_spins import SpinRepair
+from planners.methods.repair_cars import MAX_IDLE_QUERIES, CarRepair
 from planners.reach import Reach
 from planners.search.log_phases import missed
 from planners.search.room_drive import RoomDrive
@@ -101,7 +98,7 @@ def test_more_bins_are_driven_to_one_by_one_than_queries_may_be_in_vain() -> Non
     todo[3:13:2, 3:9:2, ::4] = True  # too few near each other for a search, too far apart for one way
     repair = CarRepair(task, todo, START, gives_up)
     repair.run()
-    assert len(repair.drive.curves) > 2 * CAR_REPAIR.max_idle_queries
+    assert len(repair.drive.curves) > 2 * MAX_IDLE_QUERIES
     assert missed(repair.drive.curve, todo, task.coverage, task.rate).sum() == repair.lost.sum() <= 2
 
 
@@ -167,7 +164,7 @@ def test_a_way_that_ompl_does_not_find_as_a_whole_is_found_leg_by_leg(
         return [way if d < 2.0 else np.zeros((0, 2)) for way, d in zip(ways, apart, strict=True)]
 
     monkeypatch.setattr(connections, "_query", near)
-    monkeypatch.setattr(connections, "JOINS", replace(connections.JOINS, leg_length=1.0))
+    monkeypatch.setattr(connections, "LEG_LENGTH", 1.0)
     ends = np.array([[0.6, 0.6]]), np.array([[3.4, 0.6]])
     (path,), joins = connect(*ends, reach=task.reach, barriers=task.barriers, seed=0)
     assert path is not None

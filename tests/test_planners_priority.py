@@ -12,8 +12,7 @@ from planners_samples import door_arena
 from planners import plan
 from planners.coverage import Coverage
 from planners.planning import Plan
-from planners.priority import bin_values, cell_bands, mean, room_bands
-from planners.settings import PRIORITY
+from planners.priority import BANDS, MEDIAN_RADIUS, VALUE_RANGE, bin_values, cell_bands, mean, room_bands
 from planners.types import Floats
 from planners.vehicle import Drive, Limits, Vehicle
 
@@ -53,17 +52,17 @@ def test_single_cells_of_another_priority_do_not_part_a_band() -> None:
 @given(priority=PRIORITIES, todo=TODO)
 @settings(max_examples=60, deadline=None)
 def test_the_band_of_a_cell_is_the_median_round_it(priority: Floats, todo: np.ndarray) -> None:
-    cell = PRIORITY.median_radius / 2
+    cell = MEDIAN_RADIUS / 2
     band = cell_bands(priority, todo, cell)
     cells, score = todo.any(axis=2), mean(priority, todo)
     assert not band[~cells].any()
     if not cells.any():
         return
-    marks = sorted({float(np.quantile(score[cells], k / PRIORITY.bands)) for k in range(1, PRIORITY.bands)})
+    marks = sorted({float(np.quantile(score[cells], k / BANDS)) for k in range(1, BANDS)})
     own = {(i, k): -sum(score[i, k] > mark for mark in marks) for i, k in np.argwhere(cells).tolist()}
     for i, k in own:
         near = sorted(
-            value for (a, b), value in own.items() if np.hypot(a - i, b - k) <= PRIORITY.median_radius / cell
+            value for (a, b), value in own.items() if np.hypot(a - i, b - k) <= MEDIAN_RADIUS / cell
         )
         assert band[i, k] == near[(len(near) - 1) // 2]
 
@@ -77,7 +76,7 @@ def test_a_cell_of_higher_priority_is_worth_more(priority: Floats, todo: np.ndar
     order = np.argsort(score)
     assert (np.diff(own[order]) >= 0).all()
     if len(np.unique(score)) > 1:
-        assert (own.min(), own.max()) == (1.0, 1.0 + PRIORITY.value_range)
+        assert (own.min(), own.max()) == (1.0, 1.0 + VALUE_RANGE)
 
 
 def test_rooms_come_by_what_is_wanted_in_them() -> None:

@@ -11,8 +11,7 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.maps import geojson
-from planners.reach import reach
-from planners.settings import REACH
+from planners.reach import DISTANCE_CAP, reach
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -73,7 +72,7 @@ def test_mask_keeps_clear_and_field_is_cut_off() -> None:
     found = reach(arena, Barriers(arena), clearance=0.22, cell=0.25)
     nodes = found.nodes(np.nonzero(found.mask))
     assert Barriers(arena).distances(nodes[::50]).min() >= 0.22 - 1e-9
-    assert found.distance.max() == pytest.approx(0.22 + REACH.distance_cap)
+    assert found.distance.max() == pytest.approx(0.22 + DISTANCE_CAP)
     assert found.step <= 0.02
 
 

@@ -11,7 +11,6 @@ from scipy import ndimage
 from planners import rooms
 from planners.clearance import Barriers
 from planners.reach import reach
-from planners.settings import ROOMS, RoomSettings
 
 
 def test_a_large_room_with_walls_in_it_is_cut_into_connected_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -21,13 +20,14 @@ def test_a_large_room_with_walls_in_it_is_cut_into_connected_parts(monkeypatch: 
     )
     arena = outlined(free)
     floor = reach(arena, Barriers(arena), clearance=0.22, cell=0.25)
-    settings = RoomSettings(passage=0.01, min_cells=12, max_cells=120)
-    monkeypatch.setattr(rooms, "ROOMS", settings)
+    least, most = 12, 120
+    assert most < rooms.MAX_CELLS
+    for name, value in {"PASSAGE": 0.01, "MIN_CELLS": least, "MAX_CELLS": most}.items():
+        monkeypatch.setattr(rooms, name, value)
     cells = floor.cells()
     parts = rooms.rooms(floor, cells)
-    assert ROOMS.max_cells > settings.max_cells
-    assert len(parts) >= cells.sum() / settings.max_cells
+    assert len(parts) >= cells.sum() / most
     np.testing.assert_array_equal(np.sum(parts, axis=0), cells.astype(int))
     for part in parts:
-        assert settings.min_cells <= part.sum() <= settings.max_cells
+        assert least <= part.sum() <= most
         assert ndimage.label(part)[1] == 1  # no tooth is thinner than a cell: here neighbours are connected

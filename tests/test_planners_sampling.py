@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from planners.sampling import sampling_warnings
+from planners.report import sampling_warnings
 from planners.trajectory import Trajectory
 from planners.vehicle import Vehicle
 

@@ -16,11 +16,11 @@ from planners.search.area import search_area
 from planners.search.beam import beam_search, drive
 from planners.search.kernel_goals import cell_distances
 from planners.search.log_phases import missed
-from planners.search.motion_primitives import spin_primitives
+from planners.search.motion_primitives import MAX_DURATION, spin_primitives
 from planners.search.nearest_goal import nearest_goal_search
 from planners.search.room_drive import spin_curve
 from planners.search.search import CoverageSearch, SearchStatus
-from planners.search.settings import PRIMITIVES, SearchSettings
+from planners.search.settings import SearchSettings
 from planners.types import Bools
 from planners.vehicle import Limits
 
@@ -72,7 +72,7 @@ def test_a_log_of_any_rate_sees_the_bins_of_a_search(rate: float) -> None:
 def test_sensors_that_are_fast_enough_have_the_usual_primitives(rate: float, headings: int) -> None:
     primitives = spin_primitives(Limits(), headings, rate)
     assert primitives.core_margin == 0.5
-    assert primitives.unit <= PRIMITIVES.max_duration
+    assert primitives.unit <= MAX_DURATION
     assert primitives.core.mean() == 0.5
 
 

@@ -16,17 +16,21 @@ from typing import NamedTuple
 import numpy as np
 
 from planners.cars.reeds_shepp import Arcs, Pose, arc_end
-from planners.cars.settings import ARC_PATH
 from planners.kernel import inner_kernel, kernel, outer_kernel
 from planners.reach import Reach
 from planners.search.kernel_world import interpolate
-from planners.search.settings import PRIMITIVES
+from planners.search.motion_primitives import GEAR_CHANGE_COST
 from planners.types import Bools, Floats, Ints
 from planners.vehicle import Limits
 
-BIN_STEP = ARC_PATH.bin_step
-CLEARANCE_STEP = ARC_PATH.clearance_step
-MAX_BINS = ARC_PATH.max_bins
+BIN_STEP = 0.005
+"""[m] between the poses whose bin is evaluated."""
+CLEARANCE_STEP = 0.02
+"""[m] between the poses whose clearance is tested."""
+MAX_BINS = 4096
+"""Maximum number of bins that a shortcut or a detour covers."""
+MAX_PIECE_FORWARD, MAX_PIECE_REVERSING = 0.16, 0.12
+"""[m] Longer arcs are cut, since shortcuts begin and end at arc ends: for cars without and with a reverse gear."""
 
 
 class CarContext(NamedTuple):
@@ -360,8 +364,8 @@ def car_context(
         min_stay=speed / rate + BIN_STEP,
         min_stay_at_stop=0.5 * a / rate**2 + BIN_STEP,
         can_reverse=can_reverse,
-        gear_change_cost=PRIMITIVES.gear_change_cost * speed * speed / a,
-        max_piece=ARC_PATH.max_piece_reversing if can_reverse else ARC_PATH.max_piece_forward,
+        gear_change_cost=GEAR_CHANGE_COST * speed * speed / a,
+        max_piece=MAX_PIECE_REVERSING if can_reverse else MAX_PIECE_FORWARD,
     )
 
 

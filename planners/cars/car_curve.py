@@ -27,7 +27,7 @@ def curve_of_arcs(
     gear : (m,) 1 forward, -1 backward; the car stops where it changes.
     v : [m/s] Speed; default: the maximum that the limits allow.
     """
-    top = min(limits.v, limits.omega * limits.turning_radius) if v is None else v
+    top = limits.v_on_arc if v is None else v
     a = limits.a_on_arc
     runs = np.flatnonzero(np.diff(gear, prepend=gear[:1] - 1, append=gear[-1:] + 1))
     parts = [

@@ -36,13 +36,14 @@ from planners.cars.reeds_shepp import (
     quickest_word,
     take_arcs,
 )
-from planners.cars.settings import DETOURS
 from planners.kernel import inner_kernel, outer_kernel
 from planners.types import Floats, Ints
 from planners.vehicle import SHORTEST_ARC
 
-MAX_DISTANCE = DETOURS.max_distance
-MAX_DURATION = DETOURS.max_duration
+MAX_DISTANCE = 1.0
+"""[m] maximum distance between the drive and the bin."""
+MAX_DURATION = 20.0
+"""[s] maximum duration of a detour."""
 
 
 def insert_detours(path: ArcPath, goals: Floats, bins: Ints, context: CarContext) -> Arcs:

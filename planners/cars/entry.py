@@ -8,7 +8,6 @@ import numpy as np
 from scipy import ndimage
 
 from planners.cars.car_curve import curve_of_arcs
-from planners.cars.settings import ENTRY
 from planners.curve import Curve
 from planners.search.area import SearchArea
 from planners.search.kernel_world import find_escape, new_scratch
@@ -16,6 +15,13 @@ from planners.search.motion_primitives import MotionPrimitives, car_primitives
 from planners.search.search import CoverageSearch, SearchResult
 from planners.types import Floats
 from planners.vehicle import Limits
+
+MAX_STEPS = 3
+"""Maximum number of headings of the primitives within the arc."""
+SAME_HEADING = 1e-5
+"""[rad] Headings closer than this are equal."""
+CLEARANCE_STEP = 0.005
+"""[m] between the places on the arc at which the clearance is tested."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,9 +70,9 @@ def shortest_entry_arc(
     None if walls block every such arc.
     """
     apart = float((pose[2] - primitives.first_heading) / abs(primitives.heading_step))
-    steps = np.arange(-ENTRY.max_steps, ENTRY.max_steps + 1) + np.round(apart) - apart
+    steps = np.arange(-MAX_STEPS, MAX_STEPS + 1) + np.round(apart) - apart
     turns = abs(primitives.heading_step) * steps[np.argsort(abs(steps), kind="stable")]
-    if abs(turns[0]) < ENTRY.same_heading:
+    if abs(turns[0]) < SAME_HEADING:
         return EntryArc(
             primitives=primitives, pose=pose, length=0.0, bend=0, gear=1, state=state_at(primitives, pose)
         )
@@ -76,7 +82,7 @@ def shortest_entry_arc(
         for mode, gear in enumerate(np.sign(primitives.speeds).astype(int).tolist()):
             length, bend = abs(turn) * limits.turning_radius, int(np.sign(turn))
             arc = curve_of_arcs(pose, np.array([length]), np.array([bend]), np.array([gear]), limits)
-            n = int(np.ceil(length / ENTRY.clearance_step))
+            n = int(np.ceil(length / CLEARANCE_STEP))
             poses = arc.sample(np.arange(1, n + 1) / n * arc.duration)[0]
             nodes = (poses[:, :2] - area.origin) / area.step - 0.5
             if ndimage.map_coordinates(area.distance, nodes.T, order=1).min() < area.clearance:

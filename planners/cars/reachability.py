@@ -13,17 +13,25 @@ import numpy as np
 
 from planners.arena import wrap
 from planners.cars.entry import EntryArc, curve_of_search, entry_arc
-from planners.cars.settings import REACHABILITY
 from planners.curve import Curve
 from planners.reach import Reach, ReturnableSet
 from planners.search.area import SearchArea, search_area
 from planners.search.kernel_world import new_scratch
 from planners.search.motion_primitives import car_primitives
-from planners.search.search import CoverageSearch, SearchResult
+from planners.search.search import RETRY_DWELL, CoverageSearch, SearchResult
 from planners.search.wavefront import wavefront
 from planners.task import Task
 from planners.types import Bools, Floats, Int32s
 from planners.vehicle import Limits
+
+LATTICE = 0.02
+"""[m] side of a lattice cell; a path is found through any gap that this resolves."""
+EXHAUSTIVE_SHARE = 0.25
+"""Share of the returnable states; a wavefront that reached more, and no wanted bin, is not repeated for these bins."""
+START_TRIES = 6
+"""Number of random poses among which a start is chosen."""
+GOOD_START_SHARE = 0.5
+"""Share of all bins at which a start is good enough."""
 
 
 def returnable_set(reach: Reach, limits: Limits, headings: int, rate: float, pose: Floats) -> ReturnableSet:
@@ -92,7 +100,7 @@ class ReachabilityPlanner:
             found = _run_wavefront(entered, wanted, self.area, self.task.rate, to_first=True)
             if len(found.branches):
                 return self._curve(entered, found.branches, wanted)
-            if found.reached.sum() > REACHABILITY.exhaustive_share * everywhere * found.reached.shape[2]:
+            if found.reached.sum() > EXHAUSTIVE_SHARE * everywhere * found.reached.shape[2]:
                 self._unreached |= wanted
                 return None
         return None
@@ -120,7 +128,7 @@ class ReachabilityPlanner:
                 ends = np.stack(
                     [x + side * (np.sin(heading) - np.sin(phi)), y - side * (np.cos(heading) - np.cos(phi))]
                 )
-                i, k = np.floor((ends - self.area.origin[:, None]) / REACHABILITY.lattice).astype(np.int64)
+                i, k = np.floor((ends - self.area.origin[:, None]) / LATTICE).astype(np.int64)
                 inside = (i >= 0) & (k >= 0) & (i < back.shape[0]) & (k < back.shape[1])
                 out |= inside & back[i * inside, k * inside, steps.astype(np.int64) % n]
         return out
@@ -143,7 +151,7 @@ class ReachabilityPlanner:
         if back is None:
             return np.empty(0, dtype=np.int32)
         found = _run_wavefront(entered, wanted, self.area, self.task.rate, within=back, to_first=True)
-        if not len(found.branches) and found.reached.sum() > REACHABILITY.exhaustive_share * back.sum():
+        if not len(found.branches) and found.reached.sum() > EXHAUSTIVE_SHARE * back.sum():
             self._unreached |= wanted
         return found.branches
 
@@ -177,8 +185,8 @@ def _run_wavefront(
     to_first : Whether to stop at the first wanted bin.
     """
     search = CoverageSearch(area, entered.primitives, wanted, rate)
-    search.want(wanted, REACHABILITY.goal_dwell if to_first else 1.0, inner=False)
-    shape = np.ceil(np.array(area.distance.shape) * area.step / REACHABILITY.lattice - 1e-9).astype(int) + 2
+    search.want(wanted, RETRY_DWELL[0] if to_first else 1.0, inner=False)
+    shape = np.ceil(np.array(area.distance.shape) * area.step / LATTICE - 1e-9).astype(int) + 2
     reached = np.zeros((*shape, entered.primitives.n_headings), dtype=np.bool_)
     allowed = np.ones_like(reached) if within is None else within
     depth = entered.primitives.safe_depth if to_first else 0
@@ -189,7 +197,7 @@ def _run_wavefront(
         depth,
         search.world,
         search.primitive_arrays(),
-        REACHABILITY.lattice,
+        LATTICE,
         new_scratch(abs(depth)),
     )
     return _WavefrontResult(reached, search.world.need, branches)
@@ -204,7 +212,7 @@ def best_start(
     if not len(free):
         free = np.argwhere(reach.cells())
     best: tuple[Floats, ReturnableSet] | None = None
-    for _ in range(REACHABILITY.start_tries):
+    for _ in range(START_TRIES):
         place = reach.origin + (free[int(rng.integers(len(free)))] + 0.5) * reach.cell
         primitives = car_primitives(limits, headings, rate, (1,))
         pose = np.array(
@@ -218,7 +226,7 @@ def best_start(
         found = returnable_set(reach, limits, headings, rate, pose)
         if best is None or found.bins.sum() > best[1].bins.sum():
             best = pose, found
-        if best[1].bins.sum() > REACHABILITY.good_start_share * reach.cells().sum() * headings:
+        if best[1].bins.sum() > GOOD_START_SHARE * reach.cells().sum() * headings:
             break
     assert best is not None
     return best

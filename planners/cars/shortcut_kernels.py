@@ -32,15 +32,14 @@ from planners.cars.arc_path import (
     section_time,
 )
 from planners.cars.reeds_shepp import MAX_ARCS, Arcs, Pose, arc_end, empty_arcs, quickest_word
-from planners.cars.settings import SHORTCUTS
 from planners.kernel import inner_kernel, kernel, outer_kernel
 from planners.types import Bools, Floats, Ints
 from planners.vehicle import SHORTEST_ARC
 
-MAX_SAVING = SHORTCUTS.max_saving
-
-
-MIN_SAVING = SHORTCUTS.min_saving
+MAX_SAVING = 60.0
+"""[s] maximum time that dropping a part of the drive would save; longer parts are not evaluated."""
+MIN_SAVING = 0.1
+"""[s] minimum saving of a shortcut."""
 
 
 class Replacements(NamedTuple):

@@ -7,7 +7,9 @@ covers every bin that only this part covers. If it misses one such bin, the quic
 are tried.
 
 In each pass, parts that save most are replaced first, and replaced parts do not touch. The passes end when
-they save little. `shortcut_kernels` defines the saving.
+they save little. `shortcut_kernels` defines the saving. The constants of cars were set with `python -m
+benchmarks.coverage_planners --drive reeds_shepp` and `--drive dubins`, in the square, the office and random
+offices (`--arena --random 10 --first 1`), by driving time, coverage and processor time.
 """
 
 from __future__ import annotations
@@ -35,7 +37,6 @@ from planners.cars.reeds_shepp import (
     empty_arcs,
     take_arcs,
 )
-from planners.cars.settings import SHORTCUTS
 from planners.cars.shortcut_kernels import (
     Replacements,
     choose_replacements,
@@ -48,6 +49,18 @@ from planners.search.motion_primitives import GEARS
 from planners.task import Task
 from planners.types import ROUND_OFF, Bools, Ints
 
+MAX_CRITICAL = (2, 4)
+"""Maximum number of bins covered only by the replaced part, in the first pass and in later ones. A shortcut
+rarely covers more of them."""
+MIN_PASS_SAVING = 0.006
+"""Minimum saving of a pass for another to follow, as a share of the driving time."""
+MAX_PASSES = 6
+"""Maximum number of passes over the whole drive."""
+REACH_OVER = 20
+"""Number of arcs before a replaced part whose shortcuts are evaluated again, since they may span it."""
+ARCS_PER_JOB = 1000
+"""Number of arcs per thread job."""
+
 
 def shortening_passes(path: ArcPath, context: CarContext) -> Iterator[ArcPath]:
     """Shorten a drive pass by pass, and yield each shorter one.
@@ -56,19 +69,13 @@ def shortening_passes(path: ArcPath, context: CarContext) -> Iterator[ArcPath]:
     """
     fresh = np.ones(len(path.length), dtype=np.bool_)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        for number in range(SHORTCUTS.max_passes):
+        for number in range(MAX_PASSES):
             before = gear_runs(path, context).start_times[-1]
-            path, fresh = _one_pass(
-                path,
-                fresh,
-                SHORTCUTS.max_critical_later if number else SHORTCUTS.max_critical_first,
-                context,
-                threads,
-            )
+            path, fresh = _one_pass(path, fresh, MAX_CRITICAL[number > 0], context, threads)
             after = gear_runs(path, context).start_times[-1]
             if after < before:
                 yield path
-            if before - after < SHORTCUTS.min_pass_saving * before:
+            if before - after < MIN_PASS_SAVING * before:
                 return
 
 
@@ -96,7 +103,7 @@ def _one_pass(
         threads.submit(
             search_replacements,
             k,
-            k + SHORTCUTS.arcs_per_job,
+            k + ARCS_PER_JOB,
             n_critical,
             fresh,
             analysis,
@@ -105,7 +112,7 @@ def _one_pass(
             count,
             replacements,
         )
-        for k in range(0, n, SHORTCUTS.arcs_per_job)
+        for k in range(0, n, ARCS_PER_JOB)
     ]
     try:
         for job in jobs:
@@ -129,7 +136,7 @@ def _splice(analysis: PathAnalysis, replacements: Replacements, chosen: Ints) ->
     before = Arcs(path.length, path.bend, path.gear)
     fresh = replacements.saved > 0
     for i in chosen.tolist():
-        fresh[max(i - SHORTCUTS.reach_over, 0) : i] = True
+        fresh[max(i - REACH_OVER, 0) : i] = True
     kept, is_fresh = list[Arcs](), list[Bools]()
     for i in chosen.tolist():
         end = int(replacements.end[i])

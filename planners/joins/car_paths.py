@@ -19,13 +19,16 @@ from planners.cars.reeds_shepp import MAX_ARCS, Pose, arc_end, empty_arcs, quick
 from planners.clearance import Barriers
 from planners.curve import Curve
 from planners.joins.ompl_car_paths import ArcRows
-from planners.joins.ompl_process import call_ompl
+from planners.joins.ompl_process import CLEARANCE_SLACK, call_ompl
 from planners.joins.paths import floor_arrays
-from planners.joins.settings import JOINS
 from planners.reach import Reach
+from planners.search.motion_primitives import GEAR_CHANGE_COST
 from planners.task import JoinCounts
 from planners.types import Bools, Floats
 from planners.vehicle import SHORTEST_ARC, Vehicle
+
+CERTIFY_STEP = 0.004
+"""[m] between the poses at which the clearance of a car's path is measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +69,7 @@ def connect_cars(
         counts=[len(kept) for kept in within],
         radius=vehicle.limits.turning_radius,
         backward=vehicle.drive == "reeds_shepp",
+        gear_change_cost=_gear_change_cost(vehicle),
         **floor_arrays(reach),
     )
     found_arcs = np.split(response["arcs"], np.cumsum(response["lengths"])[:-1])
@@ -104,7 +108,7 @@ def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) ->
         i, k = max(int(short[0]) - wide, 0), min(int(short[-1]) + wide + 1, n)
         ends = poses[i], poses[k], radius, gears[i], gears[k + 1]
         m = quickest_word(
-            *ends, JOINS.gear_change_cost, vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, buffer
+            *ends, _gear_change_cost(vehicle), vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, buffer
         )
         if m >= 0:
             yield np.concatenate(
@@ -113,6 +117,12 @@ def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) ->
         if i == 0 and k == n:
             break
     yield arcs
+
+
+def _gear_change_cost(vehicle: Vehicle) -> float:
+    """Return the distance [m] that takes as long to drive as a gear change."""
+    limits = vehicle.limits
+    return GEAR_CHANGE_COST * limits.v_on_arc**2 / limits.a_on_arc
 
 
 def _are_connected(goals: Floats, reach: Reach) -> Bools:
@@ -134,7 +144,7 @@ def _certified_drive(
     if not len(arcs):
         return CarPath(curve=None, goal=goal)
     curve = curve_of_arcs(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], vehicle.limits)
-    n = int(np.ceil(curve.duration * vehicle.limits.v / JOINS.certify_step)) + 1
+    n = int(np.ceil(curve.duration * vehicle.limits.v / CERTIFY_STEP)) + 1
     places = curve.sample(np.linspace(0.0, curve.duration, n))[0][:, :2]
-    clear = barriers.distances(places).min() >= clearance - JOINS.clearance_slack
+    clear = barriers.distances(places).min() >= clearance - CLEARANCE_SLACK
     return CarPath(curve=curve, goal=goal) if clear else None

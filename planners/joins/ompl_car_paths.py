@@ -12,23 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from planners.joins.ompl_process import DistanceField, IterationLimit, planner_named, serve
-from planners.joins.settings import CAR_PATHS, JOINS
+from planners.joins.ompl_process import DistanceField, OmplProblem, SamplingStage, serve
 from planners.types import Floats
 from planners.vehicle import SHORTEST_ARC
 
 SAME_POSE = 1e-7
 """[m, rad] Poses closer than this are equal."""
 
+N_DIRECT_GOALS = 16
+"""Number of goals to which the shortest curve is tried before OMPL samples."""
+CHATTER_COST = 10.0
+"""[m] Cost of an arc too short to steer when solutions are compared."""
 ArcRows = Floats
 """(k, 3) gear (1, -1), bend (1 counter-clockwise, 0 straight, -1 clockwise) and length [m] of each arc of a path."""
 
 
 def _drives(base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Answer the queries of `connect_cars`."""
-    solver = _CarSolver(base, geometric, request)
+    problem = _CarProblem(base, geometric, request)
     goals = np.split(request["goals"], np.cumsum(request["counts"])[:-1])
-    found = [solver.solve(start, own) for start, own in zip(request["starts"], goals, strict=True)]
+    found = [problem.solve(start, own) for start, own in zip(request["starts"], goals, strict=True)]
     return {
         "arcs": np.concatenate([arcs for arcs, _, _ in found]),
         "lengths": [len(arcs) for arcs, _, _ in found],
@@ -37,82 +40,51 @@ def _drives(base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> dic
     }
 
 
-class _CarSolver:
-    """One OMPL problem in a car's state space, reused for every query."""
+def _is_valid(field: DistanceField, state: Any) -> bool:
+    """Return whether a state keeps the clearance, as a Python bool, which OMPL requires."""
+    return bool(field.value(state.getX(), state.getY()) >= field.clearance)
+
+
+class _CarProblem(OmplProblem):
+    """Paths of a car: rows of arcs, and the index of the goal."""
+
+    stages = (
+        SamplingStage(window=2.0, max_step=1.0, iterations=800),
+        SamplingStage(window=np.inf, max_step=2.0, iterations=1_500),
+        SamplingStage(window=np.inf, max_step=0.5, iterations=3_000),
+    )
+    n_solutions = 3
 
     def __init__(self, base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> None:
-        distance, origin, step = request["distance"], request["origin"], float(request["step"])
-        self.base, self.radius = base, float(request["radius"])
+        self.radius, self.gear_change_cost = float(request["radius"]), float(request["gear_change_cost"])
         self.gears = (1.0, -1.0) if request["backward"] else (1.0,)
         kind = base.ReedsSheppStateSpace if request["backward"] else base.DubinsStateSpace
-        self.space = kind(self.radius)
-        self.low, self.high = origin, origin + np.array(distance.shape) * step
-        self._bound(self.low, self.high)
-        self.setup = geometric.SimpleSetup(self.space)
-        self.information = self.setup.getSpaceInformation()
-        self.information.setStateValidityCheckingResolution(JOINS.check_step / self.space.getMaximumExtent())
-        self.clearance = float(request["clearance"])
-        self.field = field = DistanceField(distance, origin, step)
-        self.setup.setStateValidityChecker(
-            lambda state: bool(field.value(state.getX(), state.getY()) >= field.clearance)
-        )
-        self.planner = planner_named(str(request["planner"]), geometric, self.information)
-        self.setup.setPlanner(self.planner)
-        self.ready = False
+        super().__init__(base, geometric, kind(self.radius), request, _is_valid)
+        self.is_ready = False
 
     def solve(self, start: Floats, goals: Floats) -> tuple[ArcRows, int, bool]:
         """Return the arcs to one of the goals (m, 3), its index (-1: no path), and whether it is the shortest curve."""
         if not len(goals):
             return np.zeros((0, 3)), -1, False
         here, there = self._state(start), [self._state(goal) for goal in goals]
-        lowest = self.field.value(*start[:2].tolist())
-        self.field.clearance = min(self.clearance + JOINS.clearance_slack, max(lowest, self.clearance)) - 1e-9
-        self._begin(here, there)
+        self.set_clearance(start[None, :2])
+        self.state_query(here, there)
+        if not self.is_ready:  # OMPL crashes in setup() without a start and a goal
+            self.setup.setup()
+            self.is_ready = True
         far = np.array([self.space.distance(here, goal) for goal in there])
         clear = [
             (np.array(list(self._arcs(here, there[k]))).reshape(-1, 3), k, True)
-            for k in np.argsort(far, kind="stable")[: CAR_PATHS.direct_goals].tolist()
+            for k in np.argsort(far, kind="stable")[:N_DIRECT_GOALS].tolist()
             if self.information.checkMotion(here, there[k])
         ]
         if clear:
             return min(clear, key=lambda path: _n_chatter(path[0]))
-        for stage in CAR_PATHS.stages:
-            if hasattr(self.planner, "setRange"):
-                self.planner.setRange(stage.max_step)
-            places = np.concatenate([start[None], goals])[:, :2]
-            self._bound(
-                np.maximum(places.min(axis=0) - stage.window, self.low),
-                np.minimum(places.max(axis=0) + stage.window, self.high),
-            )
-            first = self._attempt(here, there, stage.iterations)
-            if first is not None:
-                others = [
-                    self._attempt(here, there, stage.iterations) for _ in range(CAR_PATHS.solutions - 1)
-                ]
-                found = [first, *(path for path in others if path is not None)]
-                arcs, k = min(found, key=lambda path: _cost(path[0]))
-                return arcs, k, False
-            self.field.clearance = self.clearance - 1e-9
-        return np.zeros((0, 3)), -1, False
+        found = self.best_path(here, there, np.concatenate([start[None], goals])[:, :2])
+        return (np.zeros((0, 3)), -1, False) if found is None else (*found, False)
 
-    def _begin(self, here: Any, there: list[Any]) -> None:
-        goals = self.base.GoalStates(self.information)
-        for state in there:
-            goals.addState(state)
-        self.setup.clear()
-        self.setup.setStartState(here)
-        self.setup.setGoal(goals)
-        if not self.ready:  # OMPL crashes in setup() without a start and a goal
-            self.setup.setup()
-            self.ready = True
-
-    def _attempt(self, here: Any, there: list[Any], iterations: int) -> tuple[ArcRows, int] | None:
-        self._begin(here, there)
-        self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(iterations)))
-        if not self.setup.haveExactSolutionPath():  # the status is true for approximate solutions too
-            return None
-        path = self.setup.getSolutionPath()
-        simplifier = self.setup.getPathSimplifier()
+    def path_of(self, path: Any, simplifier: Any, goals: list[Any]) -> tuple[ArcRows, int] | None:
+        """Shorten a solution and return its arcs and the index of its goal; None if it is not valid."""
         for _ in range(2):
             simplifier.reduceVertices(path)
             simplifier.partialShortcutPath(path)
@@ -122,8 +94,13 @@ class _CarSolver:
         states = [path.getState(k) for k in range(path.getStateCount())]
         end = self._pose(states[-1])
         arcs = np.array([arc for a, b in pairwise(states) for arc in self._arcs(a, b)]).reshape(-1, 3)
-        goal = int(np.argmin([abs(_difference(end, self._pose(state))).max() for state in there]))
-        return arcs, goal
+        return arcs, int(np.argmin([abs(_difference(end, self._pose(state))).max() for state in goals]))
+
+    def cost(self, path: tuple[ArcRows, int]) -> float:
+        """Return the length, and a cost for each gear change and for each arc too short to steer."""
+        arcs, _ = path
+        stops = (np.diff(arcs[:, 0]) != 0).sum()
+        return float(arcs[:, 2].sum() + self.gear_change_cost * stops + CHATTER_COST * _n_chatter(arcs))
 
     def _arcs(self, a: Any, b: Any) -> Iterator[tuple[float, float, float]]:
         """Yield gear, bend and length [m] of the arcs of the shortest curve between two states.
@@ -159,19 +136,10 @@ class _CarSolver:
         """Return gear and bend of the arc between two poses; None if no single arc joins them."""
         for gear in self.gears:
             for bend in (0.0, 1.0, -1.0):
-                if (
-                    abs(_difference(arc_end(start, gear, bend, length, self.radius), end)).max()
-                    < 0.1 * SAME_POSE
-                ):
+                there = arc_end(start, gear, bend, length, self.radius)
+                if abs(_difference(there, end)).max() < 0.1 * SAME_POSE:
                     return gear, bend
         return None
-
-    def _bound(self, low: Floats, high: Floats) -> None:
-        bounds = self.base.RealVectorBounds(2)
-        for axis in range(2):
-            bounds.setLow(axis, float(low[axis]))
-            bounds.setHigh(axis, float(high[axis]))
-        self.space.setBounds(bounds)
 
     def _state(self, pose: Floats) -> Any:
         state = self.space.allocState()
@@ -199,13 +167,6 @@ def arc_end(pose: Floats, gear: float, bend: float, length: float, radius: float
 def _difference(a: Floats, b: Floats) -> Floats:
     """Return the difference (3,) of two poses, with the heading wrapped."""
     return np.append(a[:2] - b[:2], wrap(float(a[2] - b[2])))
-
-
-def _cost(arcs: ArcRows) -> float:
-    stops = (np.diff(arcs[:, 0]) != 0).sum()
-    return float(
-        arcs[:, 2].sum() + CAR_PATHS.gear_change_cost * stops + CAR_PATHS.chatter_cost * _n_chatter(arcs)
-    )
 
 
 def _n_chatter(arcs: ArcRows) -> int:

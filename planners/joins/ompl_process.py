@@ -18,8 +18,11 @@ import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -37,6 +40,19 @@ EXIT_WITHOUT_OMPL = 3
 
 HEADER = struct.Struct("<qq")
 """Length of the following message, and an exit code."""
+JOIN_PLANNERS = (
+    "RRTConnect", "BFMT", "BITstar", "BKPIECE1", "FMT", "InformedRRTstar", "KPIECE1", "LBKPIECE1", "RRT", "RRTstar", "SORRTstar",
+)  # fmt: skip
+"""Planners of ompl.geometric 2.0.1 that run from Python; the first is the default.
+
+Excluded: PRM and PRMstar, whose threads never end when they call Python, and AORRTC, which crashes."""
+CHECK_STEP = 0.01
+"""[m] between the states of a motion that OMPL checks."""
+CLEARANCE_SLACK = 0.002
+"""[m] Added to the clearance in OMPL where start and goals allow it. A certified path may be this much below the
+clearance."""
+ROUNDING = 1e-9
+"""[m] below the clearance at which a state still counts as valid."""
 
 
 class _OmplServer:
@@ -237,6 +253,96 @@ class DistanceField:
         near, far = self.rows[i], self.rows[i + 1]
         return (1 - a) * ((1 - b) * near[j] + b * near[j + 1]) + a * ((1 - b) * far[j] + b * far[j + 1])
 
-    def is_valid(self, state: Any) -> bool:
-        """Return whether a state keeps `clearance`, as a Python bool, which OMPL requires."""
-        return bool(self.value(state[0], state[1]) >= self.clearance)
+
+@dataclass(frozen=True, kw_only=True)
+class SamplingStage:
+    """One attempt of the planner; the stages run in order until one succeeds."""
+
+    window: float
+    """[m] around start and goals, within which states are sampled."""
+    max_step: float
+    """[m] maximum length of the tree's edges."""
+    iterations: int
+    """Maximum number of iterations."""
+
+
+class OmplProblem(ABC):
+    """One OMPL problem, reused for every query, so that nothing leaks and its random streams continue.
+
+    The constants of its subclasses were set with `python -m benchmarks.coverage_planners --arena --random 10 --first 1`
+    (each `--drive`), by failed joins and planning time.
+    """
+
+    stages: Sequence[SamplingStage]
+    n_solutions: int
+    """Number of solutions per query; the best is kept."""
+
+    def __init__(
+        self,
+        base: Any,
+        geometric: Any,
+        space: Any,
+        request: Mapping[str, np.ndarray],
+        is_valid: Callable[[DistanceField, Any], bool],
+    ) -> None:
+        distance, origin, step = request["distance"], request["origin"], float(request["step"])
+        self.base, self.space, self.clearance = base, space, float(request["clearance"])
+        self.low, self.high = origin, origin + np.array(distance.shape) * step
+        self._bound(self.low, self.high)
+        self.field = DistanceField(distance, origin, step)
+        self.setup = geometric.SimpleSetup(space)
+        self.information = self.setup.getSpaceInformation()
+        self.information.setStateValidityCheckingResolution(CHECK_STEP / space.getMaximumExtent())
+        self.setup.setStateValidityChecker(partial(is_valid, self.field))  # it holds no OMPL object
+        self.planner = planner_named(str(request["planner"]), geometric, self.information)
+        self.setup.setPlanner(self.planner)
+
+    @abstractmethod
+    def path_of(self, path: Any, simplifier: Any, goals: list[Any]) -> Any:
+        """Return a solution as a path in numbers, after it is simplified; None if it is not valid."""
+
+    @abstractmethod
+    def cost(self, path: Any) -> float:
+        """Return the cost [m] by which solutions are compared."""
+
+    def set_clearance(self, places: Floats) -> None:
+        """Set the clearance of a query, with some slack if these places (n, 2) [m] allow it."""
+        lowest = min(self.field.value(*place) for place in places.tolist())
+        self.field.clearance = min(self.clearance + CLEARANCE_SLACK, max(lowest, self.clearance)) - ROUNDING
+
+    def best_path(self, here: Any, there: list[Any], places: Floats) -> Any:
+        """Return the best path to one of the goals, sampled around places (n, 2) [m]; None if none is found."""
+        for stage in self.stages:
+            if hasattr(self.planner, "setRange"):
+                self.planner.setRange(stage.max_step)
+            low, high = places.min(axis=0) - stage.window, places.max(axis=0) + stage.window
+            self._bound(np.maximum(low, self.low), np.minimum(high, self.high))
+            first = self._attempt(here, there, stage.iterations)
+            if first is not None:
+                others = [self._attempt(here, there, stage.iterations) for _ in range(self.n_solutions - 1)]
+                return min((path for path in (first, *others) if path is not None), key=self.cost)
+            self.field.clearance = self.clearance - ROUNDING
+        return None
+
+    def _attempt(self, here: Any, there: list[Any], iterations: int) -> Any:
+        self.state_query(here, there)
+        self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(iterations)))
+        if not self.setup.haveExactSolutionPath():  # the status is true for approximate solutions too
+            return None
+        return self.path_of(self.setup.getSolutionPath(), self.setup.getPathSimplifier(), there)
+
+    def state_query(self, here: Any, there: list[Any]) -> None:
+        """Set the start and the goals of the problem."""
+        goals = self.base.GoalStates(self.information)
+        for state in there:
+            goals.addState(state)
+        self.setup.clear()
+        self.setup.setStartState(here)
+        self.setup.setGoal(goals)
+
+    def _bound(self, low: Floats, high: Floats) -> None:
+        bounds = self.base.RealVectorBounds(2)
+        for axis in range(2):
+            bounds.setLow(axis, float(low[axis]))
+            bounds.setHigh(axis, float(high[axis]))
+        self.space.setBounds(bounds)

@@ -1,4 +1,17 @@
-"""Joins of robots that turn in place: straight where that is clear, else by OMPL (`ompl_paths`)."""
+"""Joins of robots that turn in place: straight where that is clear, else by OMPL (`ompl_paths`).
+
+Shortest path over the nodes of the distance raster (Dijkstra's algorithm).
+
+With the distance d of a node to the nearest wall, a step from node a to a neighbouring node b costs
+
+    |a - b| (c(a) + c(b)) / 2.
+
+    Cost per metre: c = 1 + 1 / (1 + max(d - clearance, 0) / step).
+
+Nodes next to walls cost twice their length. The path connects places that are far apart through doors that
+OMPL's samples miss. A straight line between the middles of large cells may not pass a door; a path over nodes
+does.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +20,40 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse import csgraph
 
 from planners.clearance import Barriers
-from planners.joins.ompl_process import call_ompl
-from planners.joins.raster_path import raster_path
-from planners.joins.settings import JOINS
+from planners.joins.ompl_process import CLEARANCE_SLACK, call_ompl
+from planners.order import HALF_NEIGHBOURHOOD
 from planners.reach import Reach
 from planners.rooms import cell_graph
-from planners.task import JoinCounts
-from planners.types import Floats
+from planners.task import JoinCounts, Task
+from planners.types import ROUND_OFF, Floats, Ints
+
+MAX_GOALS = 400
+"""Maximum number of goals per query; the nearest ones are used."""
+LEG_LENGTH = 4.0
+"""[m] Length of the legs in which a path is searched that OMPL does not find as a whole
+(`python -m benchmarks.coverage_planners --large 42 30`)."""
+QUERIES_PER_PROCESS = 48
+"""Number of queries per process; fixed, so that results do not depend on the number of processors."""
+
+
+def join(task: Task, starts: Floats, ends: Floats) -> tuple[list[Floats | None], JoinCounts]:
+    """Find a path for each move (n, 2) -> (n, 2) [m] of a task, as `connect`."""
+    return connect(starts, ends, reach=task.reach, barriers=task.barriers, seed=task.seed)
+
+
+def continued(path: Floats | None, here: Floats, end: Floats, task: Task) -> tuple[Floats | None, JoinCounts]:
+    """Return a path (k, 2) [m], or another one to its end (2,) if it does not begin `here` (2,).
+
+    This is so if the place before was not reached.
+    """
+    if path is None or np.allclose(path[0], here, atol=ROUND_OFF):
+        return path, JoinCounts()
+    (again,), joins = join(task, here[None], end[None])
+    return again, joins
 
 
 def connect(
@@ -44,7 +81,7 @@ def connect(
         for k, corners in zip(blocked.tolist(), found, strict=True):
             paths[k] = _certified_path(corners, barriers, reach.clearance)
             if paths[k] is None:
-                paths[k] = _certified_path(corners, barriers, reach.clearance - JOINS.clearance_slack)
+                paths[k] = _certified_path(corners, barriers, reach.clearance - CLEARANCE_SLACK)
             if paths[k] is None and in_parts:
                 paths[k] = _connect_in_parts(starts[k], ends[k], reach, barriers, seed)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
@@ -71,10 +108,10 @@ def connect_nearest(
     clear = barriers.are_clear(np.repeat(start[None], len(goals), axis=0), goals[nearest], reach.clearance)
     if clear.any():
         return np.stack([start, goals[nearest[clear.argmax()]]]), JoinCounts(direct=1)
-    (found,) = _query(start[None], [goals[nearest[: JOINS.max_goals]]], reach, seed)
+    (found,) = _query(start[None], [goals[nearest[:MAX_GOALS]]], reach, seed)
     path = _certified_path(found, barriers, reach.clearance)
     if path is None:
-        path = _certified_path(found, barriers, reach.clearance - JOINS.clearance_slack)
+        path = _certified_path(found, barriers, reach.clearance - CLEARANCE_SLACK)
     if path is None:
         path = _connect_in_parts(start, goals[nearest[0]], reach, barriers, seed)
     if path is None:
@@ -102,12 +139,12 @@ def _path_over_cells(
     far, before = csgraph.dijkstra(
         cell_graph(reach), directed=False, indices=np.array([first]), return_predecessors=True
     )
-    if not JOINS.leg_length / reach.cell < far[0, last] < np.inf:
+    if not LEG_LENGTH / reach.cell < far[0, last] < np.inf:
         return None
     route = [last]
     while route[-1] != first:
         route.append(int(before[0, route[-1]]))
-    cells = np.unravel_index(route[::-1][:: max(round(JOINS.leg_length / reach.cell), 1)][1:], reach.shape)
+    cells = np.unravel_index(route[::-1][:: max(round(LEG_LENGTH / reach.cell), 1)][1:], reach.shape)
     stops = np.concatenate([start[None], reach.deepest(np.column_stack(cells)), end[None]])
     return _joined_legs(stops, reach, barriers, seed)
 
@@ -119,14 +156,14 @@ def _path_over_nodes(
     nodes = raster_path(start, end, reach)
     if nodes is None:
         return None
-    for slack in (0.0, JOINS.clearance_slack):
+    for slack in (0.0, CLEARANCE_SLACK):
         path = _certified_path(nodes, barriers, reach.clearance - slack)
         if path is not None:
             return path
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(nodes, axis=0).T))])
-    if along[-1] <= JOINS.leg_length:
+    if along[-1] <= LEG_LENGTH:
         return None
-    stops = nodes[np.searchsorted(along, np.arange(0.0, along[-1], JOINS.leg_length / 2))]
+    stops = nodes[np.searchsorted(along, np.arange(0.0, along[-1], LEG_LENGTH / 2))]
     return _joined_legs(np.concatenate([stops, end[None]]), reach, barriers, seed, in_parts=False)
 
 
@@ -157,9 +194,7 @@ def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Float
 def _query_in_batches(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
     """Solve queries (n, 2) -> (n, 2) [m] in batches, in one process per processor."""
     goals = list(ends[:, None])
-    batches = [
-        slice(k, k + JOINS.queries_per_process) for k in range(0, len(starts), JOINS.queries_per_process)
-    ]
+    batches = [slice(k, k + QUERIES_PER_PROCESS) for k in range(0, len(starts), QUERIES_PER_PROCESS)]
     seeds = [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in range(len(batches))]
     if len(batches) == 1:
         return _query(starts, goals, reach, seeds[0])
@@ -192,3 +227,56 @@ def floor_arrays(reach: Reach) -> dict[str, Any]:
         "clearance": reach.clearance,
         "planner": reach.join_planner,
     }
+
+
+def raster_path(start: Floats, end: Floats, reach: Reach) -> Floats | None:
+    """Return places (k, 2) [m] from `start` to `end`, both included, over reachable nodes; None if there is no path.
+
+    The costs keep the path away from walls where that makes it only a little longer.
+    """
+    number = np.cumsum(reach.mask.ravel()).reshape(reach.mask.shape) - 1
+    first, last = (_nearest_node(place, reach) for place in (start, end))
+    if first is None or last is None:
+        return None
+    graph = _node_graph(reach, number)
+    source, goal = int(number[tuple(first)]), int(number[tuple(last)])
+    far, before = csgraph.dijkstra(
+        graph, directed=False, indices=np.array([source]), return_predecessors=True
+    )
+    if not np.isfinite(far[0, goal]):
+        return None
+    route = [goal]
+    while route[-1] != source:
+        route.append(int(before[0, route[-1]]))
+    nodes = np.flatnonzero(reach.mask.ravel())[route[::-1]]
+    places = reach.nodes(np.unravel_index(nodes, reach.mask.shape))
+    return np.concatenate([start[None], places, end[None]])
+
+
+def _node_graph(reach: Reach, number: Ints) -> sparse.csr_array:
+    """Return the costs [m] from each reachable node to its eight neighbours."""
+    depth = (reach.distance - reach.clearance) / reach.step
+    cost_per_metre = 1 + 1 / (1 + np.maximum(depth, 0.0))
+    nx, ny = reach.mask.shape
+    rows, columns, costs = [], [], []
+    for i, j in HALF_NEIGHBOURHOOD:
+        here = (slice(0, nx - i), slice(max(-j, 0), ny - max(j, 0)))
+        there = (slice(i, nx), slice(max(j, 0), ny + min(j, 0)))
+        both = reach.mask[here] & reach.mask[there]
+        rows.append(number[here][both])
+        columns.append(number[there][both])
+        costs.append(0.5 * np.hypot(i, j) * reach.step * (cost_per_metre[here] + cost_per_metre[there])[both])
+    n = int(reach.mask.sum())
+    entries = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.csr_array(sparse.coo_array(entries, shape=(n, n)))
+
+
+def _nearest_node(place: Floats, reach: Reach) -> Ints | None:
+    """Return the index (2,) of the reachable node nearest to a place, among those around it, or None."""
+    at = np.floor((place - reach.origin) / reach.step).astype(np.intp)
+    low = np.maximum(at - 2, 0)
+    around = np.argwhere(reach.mask[low[0] : at[0] + 3, low[1] : at[1] + 3]) + low
+    if not len(around):
+        return None
+    away = np.hypot(*(reach.nodes(tuple(around.T)) - place).T)
+    return np.asarray(around[away.argmin()])

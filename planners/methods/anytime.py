@@ -22,14 +22,26 @@ from planners import order
 from planners.curve import join_curves
 from planners.errors import PlanError
 from planners.methods.coverage_spins import plan_spins
-from planners.methods.overview import choose_spins, overview
-from planners.methods.settings import ANYTIME, OVERVIEW
+from planners.methods.overview import FIRST_ROUND, choose_spins, overview
 from planners.methods.stop_and_spin import StopAndSpinPlanner, bins_to_visit, standing_places
 from planners.order import CellGraph
 from planners.report import reference_time
 from planners.search.log_phases import met
 from planners.task import PlannedDrive, Survey, Task
 from planners.types import Bools, Floats, Ints, Progress
+
+VIEW_SHARE = 0.03
+"""Total duration of the rounds of views, as a share of the reference time; as the others, set with
+`python -m benchmarks.error_by_minutes --arena office` (seed 1)."""
+SPIN_SHARE = 0.135
+"""End of the last round of spins, as a share of the reference time; with more, the office takes more than 1.25 of it."""
+SPIN_GROWTH = 0.5
+"""Duration of each round of spins, as a share of the drive before it."""
+LOOK_PERIOD = 0.2
+"""[s] between scans of a drive that are marked as seen."""
+BLOCK = 3.0
+"""[m] side of blocks: without a survey, one cell of each block is completed before all others
+(`python -m benchmarks.coverage_planners --order anytime`)."""
 
 
 def plan_anytime(task: Task) -> PlannedDrive:
@@ -46,10 +58,10 @@ def plan_anytime(task: Task) -> PlannedDrive:
     try:
         reference, survey = reference_time(task.coverage, task.vehicle), task.survey
         if survey is None:
-            drive.spin(_one_in_each(drive.missing, ANYTIME.block, task))
+            drive.spin(_one_in_each(drive.missing, BLOCK, task))
         else:
-            drive.look(survey, OVERVIEW.share * reference)
-            drive.spin_by_survey(survey, OVERVIEW.spin_share * reference)
+            drive.look(survey, VIEW_SHARE * reference)
+            drive.spin_by_survey(survey, SPIN_SHARE * reference)
         if not drive.is_enough:
             drive.complete()
     except KeyboardInterrupt:
@@ -80,8 +92,7 @@ class _AnytimeDrive:
         """(3,) end pose of the drive so far."""
         if not self.parts:
             return self.task.start
-        curve = self.parts[-1].curve
-        return np.asarray(curve.sample(np.array([curve.duration]))[0][0])
+        return self.parts[-1].curve.end
 
     def add(self, part: PlannedDrive) -> None:
         """Append a drive that begins where this one ends, and remove its bins from the missing ones."""
@@ -96,7 +107,7 @@ class _AnytimeDrive:
     def _mark(self, survey: Survey) -> None:
         """Mark as seen what the last part shows, and report the progress of the overview."""
         curve = self.parts[-1].curve
-        survey.mark(curve.sample(np.arange(0.0, curve.duration, OVERVIEW.look_period))[0])
+        survey.mark(curve.sample(np.arange(0.0, curve.duration, LOOK_PERIOD))[0])
         budget = self.task.budget
         of = "" if budget is None else f" of {budget / 60:.0f}"
         self.task.show_status(f"overview, {self.clock / 60:.0f}{of} min of driving so far")
@@ -113,7 +124,7 @@ class _AnytimeDrive:
         """Drive rounds of spins, which complete cells, up to a time [s] of the drive or until planning can end."""
         rng = np.random.default_rng(self.task.seed)
         while (here := self.here) is not None and not self.is_enough and self.clock < until:
-            length = min(max(OVERVIEW.first_round, OVERVIEW.spin_growth * self.clock), until - self.clock)
+            length = min(max(FIRST_ROUND, SPIN_GROWTH * self.clock), until - self.clock)
             cells = choose_spins(self.task, survey, here, self.missing & self._open(), length, rng)
             if not cells.any():
                 return

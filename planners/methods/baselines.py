@@ -8,13 +8,16 @@ import shapely
 from planners.arena import wrap
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
-from planners.joins.paths import connect
-from planners.methods.settings import BASELINES
+from planners.joins.paths import join
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Floats
 
 WALL_ACCURACY = 1e-3
 """[m] accuracy of the distance to a wall ahead."""
+MIN_BOUNCE = 0.05
+"""[m] minimum free distance ahead after a bounce; with it, no drive gets stuck in the square."""
+WALL_DISTANCE = 0.15
+"""[m] beyond the clearance, the distance of wall following."""
 
 
 def random_bounce(task: Task) -> PlannedDrive:
@@ -37,9 +40,7 @@ def random_bounce(task: Task) -> PlannedDrive:
         builder.turn(float(wrap(heading - builder.pose[2])), "turn")
         if task.progress:
             task.progress(int(min(builder.clock, _duration(task))), int(_duration(task)))
-    return PlannedDrive(
-        curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=JoinCounts(direct=bounces)
-    )
+    return PlannedDrive.of(builder, JoinCounts(direct=bounces))
 
 
 def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
@@ -47,8 +48,8 @@ def _open_heading(task: Task, pose: Floats, rng: np.random.Generator) -> float:
     for _ in range(200):
         heading = float(rng.uniform(-np.pi, np.pi))
         if (
-            _free_distance(task, np.array([pose[0], pose[1], heading]), BASELINES.min_bounce)
-            >= BASELINES.min_bounce - WALL_ACCURACY
+            _free_distance(task, np.array([pose[0], pose[1], heading]), MIN_BOUNCE)
+            >= MIN_BOUNCE - WALL_ACCURACY
         ):
             return heading
     return float(pose[2] + np.pi)  # the path by which the robot came is free
@@ -84,11 +85,9 @@ def wall_following(task: Task) -> PlannedDrive:
     first = int(np.hypot(*(ring - start[:2]).T).argmin())
     ring = np.roll(ring, -first, axis=0)
     ring = np.concatenate([ring, ring[:1]])
-    laps, joins = connect(ring[:-1], ring[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
+    laps, joins = join(task, ring[:-1], ring[1:])
     path = np.concatenate([ring[:1], *(leg[1:] for leg in laps if leg is not None)])
-    lead, first_join = connect(
-        start[None, :2], ring[:1], reach=task.reach, barriers=task.barriers, seed=task.seed
-    )
+    lead, first_join = join(task, start[None, :2], ring[:1])
     if lead[0] is None or joins.failed:
         raise PlanError(
             f"OMPL found no path along the wall from ({start[0]:.2f}, {start[1]:.2f}); choose another start"
@@ -104,14 +103,12 @@ def wall_following(task: Task) -> PlannedDrive:
         builder.move(float(np.hypot(*leg)), "lane")
         if task.progress:
             task.progress(int(min(builder.clock, _duration(task))), int(_duration(task)))
-    return PlannedDrive(
-        curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=joins + first_join
-    )
+    return PlannedDrive.of(builder, joins + first_join)
 
 
 def _ring(task: Task) -> Floats:
     """Return the longest line (n, 2) [m] at a constant distance from walls, counter-clockwise."""
-    for beyond in (BASELINES.wall_distance, BASELINES.wall_distance / 2, 0.01):
+    for beyond in (WALL_DISTANCE, WALL_DISTANCE / 2, 0.01):
         inner = task.arena.free.buffer(-(task.reach.clearance + beyond), join_style="mitre", mitre_limit=2.0)
         parts = [part for part in getattr(inner, "geoms", [inner]) if not part.is_empty]
         reached = [part for part in parts if _is_reached(task, np.array(part.exterior.coords[0]))]
@@ -132,7 +129,7 @@ def _start(task: Task, rng: np.random.Generator) -> Floats:
     """Return the start of the task, or a random reachable pose."""
     if task.start is not None:
         return task.start
-    i, j = np.nonzero(task.reach.mask & (task.reach.distance > task.reach.clearance + BASELINES.min_bounce))
+    i, j = np.nonzero(task.reach.mask & (task.reach.distance > task.reach.clearance + MIN_BOUNCE))
     if not len(i):
         i, j = np.nonzero(task.reach.mask)
     pick = int(rng.integers(len(i)))

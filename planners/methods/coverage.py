@@ -14,9 +14,15 @@ import numpy as np
 from planners.methods.anytime import plan_anytime
 from planners.methods.coverage_cars import plan_cars
 from planners.methods.coverage_spins import plan_spins
-from planners.methods.settings import COVERAGE
 from planners.methods.stop_and_spin import bins_to_visit, plan_stop_and_spin
 from planners.task import PlannedDrive, Task
+
+OPEN_SHARE = 0.25
+"""Maximum share of missing bins after earlier runs; cells above it are covered again as a whole
+(`python -m benchmarks.resumed`)."""
+SCATTERED_SHARE = 0.75
+"""If more than half of the missing bins are in cells with at most this share missing, stops are planned
+instead of a search (`python -m benchmarks.resumed`)."""
 
 
 def plan_coverage(task: Task) -> PlannedDrive:
@@ -42,7 +48,7 @@ def _plan_turning(task: Task) -> PlannedDrive:
     unmet = replace(task.coverage, counts=np.zeros_like(task.coverage.counts))
     todo = bins_to_visit(replace(task, coverage=unmet))
     left, all_bins = (bins.sum(axis=2, keepdims=True) for bins in (missing, todo))
-    if 2 * left[left <= COVERAGE.scattered_share * all_bins].sum() > left.sum():
+    if 2 * left[left <= SCATTERED_SHARE * all_bins].sum() > left.sum():
         return plan_stop_and_spin(task)
-    wanted = missing | (todo & (left > COVERAGE.open_share * all_bins))
+    wanted = missing | (todo & (left > OPEN_SHARE * all_bins))
     return plan_spins(replace(task, coverage=replace(task.coverage, counts=np.where(wanted, 0, 1))))

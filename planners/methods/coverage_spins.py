@@ -1,32 +1,96 @@
-"""The coverage planner for robots that turn in place: search rooms in parallel, join them, repair the drive."""
+"""The coverage planner for robots that turn in place: search rooms in parallel, join them, repair the drive.
+
+Complete the drive of a robot that turns in place: OMPL drives to the nearest cell with missing headings.
+
+The straight move is tried first. On arrival the robot turns through all missing headings of the cell. Bins on
+the path count too.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from scipy.sparse import csgraph
 
 from planners.arena import wrap
+from planners.coverage import DWELL_PERIODS
 from planners.curve import Curve, CurveBuilder, join_curves
 from planners.errors import PlanError
 from planners.interrupt import defer_interrupt
-from planners.joins.paths import connect
+from planners.joins.paths import connect_nearest, continued, join
 from planners.methods.parallel_search import SearchTick, free_place, primitives_of, search_in_parallel
-from planners.methods.repair_spins import SpinRepair
-from planners.methods.settings import COVERAGE
-from planners.methods.stop_and_spin import bins_to_visit
+from planners.methods.spins import choose_departure
+from planners.methods.stop_and_spin import bins_to_visit, standing_places
 from planners.priority import cell_bands
 from planners.rooms import cell_graph, rooms, shortest_sequence
 from planners.search.area import search_area
 from planners.search.log_phases import missed
 from planners.search.motion_primitives import MotionPrimitives
 from planners.search.room_drive import RoomDrive, spin_curve
-from planners.search.search import CoverageSearch
+from planners.search.search import RETRY_DWELL, CoverageSearch
 from planners.search.settings import SPIN_ONLY_ROOM, SPIN_ROOM, SearchSettings
-from planners.task import PlannedDrive, Task
-from planners.types import ROUND_OFF, Bools, Floats, Ints
+from planners.task import JoinCounts, PlannedDrive, Task
+from planners.types import Bools, Floats, Ints
+
+MAX_VISITS = 2
+"""Maximum number of stops in one cell for its missing headings."""
+
+
+@dataclass(eq=False)
+class SpinRepair:
+    """Repair of the drive of a robot that turns in place."""
+
+    task: Task
+    missing: Bools
+    """(nx, ny, n_phi) bins to cover."""
+    here: Floats
+    """(3,) pose of the robot."""
+    curves: list[Curve] = field(default_factory=list)
+    stops: list[tuple[float, float, float, float]] = field(default_factory=list)
+    joins: JoinCounts = field(default_factory=JoinCounts)
+
+    def __post_init__(self) -> None:
+        self.missing = self.missing.copy()
+        self.lost: Bools = np.zeros_like(self.missing)
+        """(nx, ny, n_phi) bins to which no path was found."""
+
+    def run(self) -> None:
+        """Drive to missing bins until all bins are covered or lost, or their cells have been visited often enough."""
+        cells = standing_places(self.task.reach, self.task.barriers, self.missing)
+        visits = np.zeros(len(cells.index), dtype=np.int64)
+        for round_ in range(MAX_VISITS * len(visits)):
+            wanted = np.flatnonzero(self.missing[tuple(cells.index.T)].any(axis=1) & (visits < MAX_VISITS))
+            if not len(wanted):
+                break
+            path, joins = connect_nearest(
+                self.here[:2],
+                cells.places[wanted],
+                reach=self.task.reach,
+                barriers=self.task.barriers,
+                seed=self.task.seed + round_,
+            )
+            self.joins += joins
+            if path is None:
+                self.lost = self.missing.copy()
+                break
+            at = wanted[np.hypot(*(cells.places[wanted] - path[-1]).T).argmin()]
+            visits[at] += 1
+            self._visit(path, self.missing[tuple(cells.index[at])])
+
+    def _visit(self, path: Floats, need: Bools) -> None:
+        """Drive along a path (k, 2) [m] and turn through the headings `need` (n_phi,) at its end."""
+        task = self.task
+        width = 2 * np.pi / task.coverage.headings
+        builder = CurveBuilder(self.here, task.vehicle.limits, spin=width * task.rate / DWELL_PERIODS)
+        builder.follow(path)
+        builder.turn(choose_departure(builder, None, need, (0.0, 0.0)).angle, "spin")
+        builder.wait(1.0 / task.rate)
+        self.curves.append(builder.curve())
+        self.stops += builder.stops
+        self.here = builder.pose
+        self.missing &= missed(self.curves[-1], self.missing, task.coverage, task.rate)
 
 
 def plan_spins(task: Task) -> PlannedDrive:
@@ -85,7 +149,7 @@ def _search_room(
     search.start_at(np.array([*start, 0.0, 0.0]))
     search.complete(tick_room)
     given_up = search.given_up | search.world.need
-    for dwell in COVERAGE.retry_dwell:
+    for dwell in RETRY_DWELL:
         again = area.part(_missed_by(search, primitives, task, need)) & ~given_up
         if not again.any():
             break
@@ -105,7 +169,7 @@ def _missed_by(search: CoverageSearch, primitives: MotionPrimitives, task: Task,
 
 def _revolutions(curve: Curve, primitives: MotionPrimitives) -> Floats:
     """Return the stops (n, 4): pose at the start of each revolution, and its angle."""
-    end = float(curve.sample(np.array([curve.duration]))[0][0, 2])
+    end = float(curve.end[2])
     every = curve.poses[:: primitives.n_headings]
     phi = np.append(every[:, 2], curve.poses[-1, 2] + wrap(np.float64(end - curve.poses[-1, 2])))
     return np.column_stack([every, np.diff(phi)])
@@ -134,19 +198,12 @@ def _join_rooms(room_drives: list[RoomDrive], task: Task) -> PlannedDrive:
     here = room_drives[0].ends[0] if task.start is None else task.start
     froms = np.array([here, *(room_drive.ends[1] for room_drive in room_drives[:-1])])
     tos = np.array([room_drive.ends[0] for room_drive in room_drives])
-    paths, joins = connect(froms[:, :2], tos[:, :2], reach=task.reach, barriers=task.barriers, seed=task.seed)
+    paths, joins = join(task, froms[:, :2], tos[:, :2])
     curves: list[Curve] = []
     stops: list[Floats] = []
-    for room_drive, path in zip(room_drives, paths, strict=True):
-        if path is not None and not np.allclose(path[0], here[:2], atol=ROUND_OFF):
-            again, more = connect(
-                here[None, :2],
-                room_drive.ends[0][None, :2],
-                reach=task.reach,
-                barriers=task.barriers,
-                seed=task.seed,
-            )
-            path, joins = again[0], joins + more
+    for room_drive, leg in zip(room_drives, paths, strict=True):
+        path, more = continued(leg, here[:2], room_drive.ends[0][:2], task)
+        joins += more
         if path is None:
             continue
         builder = CurveBuilder(here, task.vehicle.limits)
@@ -169,7 +226,7 @@ def _repair(driven: PlannedDrive, todo: Bools, task: Task) -> PlannedDrive:
     if not missing.any():
         return driven
     task.show_status(f"completing {int(missing.sum()):,} bins that the search left")
-    repair = SpinRepair(task, missing, driven.curve.sample(np.array([driven.curve.duration]))[0][0])
+    repair = SpinRepair(task, missing, driven.curve.end)
     interrupted = False
     try:
         repair.run()

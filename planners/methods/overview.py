@@ -4,7 +4,8 @@ A round is a tour of views V that maximises the gain g(V) with a driving time of
 is what the scans at V and on the path show beyond what has been seen. This is an orienteering problem with a
 submodular reward (C. Chekuri and M. Pal, A recursive greedy algorithm for walks in directed graphs, FOCS
 2005). It is solved greedily: insert the view of the largest gain whose cheapest detour still fits. The gain
-per second of detour is no alternative: it makes the robot turn on the spot for long.
+per second of detour is no alternative: it makes the robot turn on the spot for long. The constants were set
+with `python -m benchmarks.error_by_minutes --arena office` (seed 1).
 """
 
 from __future__ import annotations
@@ -16,15 +17,21 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from planners.curve import CurveBuilder
-from planners.joins.paths import connect
-from planners.methods.settings import OVERVIEW
 from planners.methods.stop_and_spin import standing_places
+from planners.methods.views import drive_views
 from planners.reach import Reach
 from planners.rooms import shortest_sequence
-from planners.settings import LOG
-from planners.task import JoinCounts, PlannedDrive, Survey, Task
+from planners.task import PlannedDrive, Survey, Task
 from planners.types import Bools, Floats, Ints
+
+FIRST_ROUND = 100.0
+"""[s] duration of the first round; each later one lasts as long as the drive before it."""
+N_CANDIDATES = 2500
+"""Number of candidate scans."""
+N_LOOKS = 4
+"""Number of scans of a spin that are evaluated when it is chosen."""
+VIEW_TURN = 3.0
+"""[rad] mean angle that a robot turns at a view and on the route to it."""
 
 
 def overview(
@@ -44,13 +51,13 @@ def overview(
         here = views.poses[int(views.gains(survey).argmax())]
     survey.mark(here[None])
     while driven < until:
-        length = min(max(OVERVIEW.first_round, driven), until - driven)
+        length = min(max(FIRST_ROUND, driven), until - driven)
         chosen = views.poses[_choose(views, survey.copy(), views.gains(survey), here, length)]
-        drive = _drive(chosen, here, task) if len(chosen) else None
+        drive = drive_views(chosen, here, task) if len(chosen) else None
         if drive is None:
             return
         yield drive
-        here = drive.curve.sample(np.array([drive.curve.duration]))[0][0]
+        here = drive.curve.end
         driven += drive.curve.duration
 
 
@@ -58,10 +65,10 @@ def _views(task: Task) -> _Stops:
     """Return random candidate poses at which the robot stands still for a scan."""
     rng, reach = np.random.default_rng(task.seed), task.reach
     nodes = np.nonzero(reach.mask)
-    pick = rng.integers(len(nodes[0]), size=OVERVIEW.candidates)
+    pick = rng.integers(len(nodes[0]), size=N_CANDIDATES)
     places = reach.nodes((nodes[0][pick], nodes[1][pick]))
     poses = np.column_stack([places, rng.uniform(-np.pi, np.pi, len(places))])
-    return _Stops(task, poses, poses[:, None], OVERVIEW.turn)
+    return _Stops(task, poses, poses[:, None], VIEW_TURN)
 
 
 def choose_spins(
@@ -79,8 +86,8 @@ def choose_spins(
     The chosen cells (nx, ny, 1).
     """
     cells = standing_places(task.reach, task.barriers, todo)
-    pick = rng.permutation(len(cells.index))[: OVERVIEW.candidates // OVERVIEW.looks]
-    turn = np.arange(OVERVIEW.looks) * 2 * np.pi / OVERVIEW.looks
+    pick = rng.permutation(len(cells.index))[: N_CANDIDATES // N_LOOKS]
+    turn = np.arange(N_LOOKS) * 2 * np.pi / N_LOOKS
     looks = np.empty((len(pick), len(turn), 3))
     looks[:, :, :2] = cells.places[pick, None]
     looks[:, :, 2] = turn
@@ -223,28 +230,3 @@ def _insert(
         survey.mark(views.poses_along(rows[path[at]], k))
         if at + 1 < len(tour):
             survey.mark(views.poses_along(rows[k], tour[at + 1]))
-
-
-def _drive(views: Floats, here: Floats, task: Task) -> PlannedDrive | None:
-    """Drive from `here` (3,) through the views (n, 3) to which a path is found; None if no path is found."""
-    ends = np.concatenate([here[None, :2], views[:, :2]])
-    paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
-    builder = CurveBuilder(here, task.vehicle.limits)
-    for view, leg in zip(views, paths, strict=True):
-        path, more = leg, JoinCounts()
-        if path is not None and not np.allclose(path[0], builder.pose[:2], atol=1e-9):
-            (path,), more = connect(
-                builder.pose[None, :2],
-                view[None, :2],
-                reach=task.reach,
-                barriers=task.barriers,
-                seed=task.seed,
-            )
-        joins += more
-        if path is not None:
-            builder.follow(path)
-            builder.face(float(view[2]))
-            builder.wait(LOG.dwell_periods / task.rate, "view")
-    if builder.clock == 0.0:
-        return None
-    return PlannedDrive(curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=joins)

@@ -12,7 +12,6 @@ import numpy as np
 
 from planners.cars.car_curve import curve_of_arcs
 from planners.cars.shortcuts import shorten_drive
-from planners.methods.settings import COVERAGE
 from planners.report import reference_time
 from planners.search.area import SearchArea, search_area
 from planners.search.motion_primitives import GEARS, MotionPrimitives, car_primitives, spin_primitives
@@ -25,6 +24,8 @@ COMPILE_NOTICE = 2.0
 """[s] of compiling, after which a notice is logged."""
 POLL_INTERVAL = 0.1
 """[s] between two progress updates."""
+MISSED_BIN_COST = 4.0
+"""[s] Cost of a bin that a search leaves to the repair, when searches of a room are compared."""
 
 logger = logging.getLogger(__name__)
 
@@ -110,7 +111,7 @@ def search_in_parallel(
         best.append(
             min(
                 tried,
-                key=lambda drive: drive.curve.duration + COVERAGE.missed_bin_cost * drive.left,
+                key=lambda drive: drive.curve.duration + MISSED_BIN_COST * drive.left,
                 default=None,
             )
         )

@@ -4,36 +4,122 @@ All missing bins are goals of one query (`ob.GoalStates`); the shortest curve is
 missing where a path ends, the search continues from there. This leads a car across floors on which the search
 gave up, to the first room of a resumed plan, and to bins that the lattice of the search cannot cover. If OMPL
 finds no path, a wavefront over the whole floor is tried. A bin is given up when both fail.
+
+A car's drive during planning: its curves so far, and their logged bins. It can be continued from before its end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import count
 
 import numpy as np
 
 from planners.arena import wrap
-from planners.cars.car_curve import curve_of_arcs
+from planners.cars.car_curve import car_section, curve_of_arcs
 from planners.cars.detours import insert_detours
 from planners.cars.reachability import ReachabilityPlanner
 from planners.cars.shortcuts import arc_path_of
-from planners.curve import Curve
+from planners.coverage import Coverage
+from planners.curve import Curve, join_curves
 from planners.joins.car_paths import CarPath, connect_cars
-from planners.joins.settings import JOINS
-from planners.methods.partial_drive import PartialDrive
-from planners.methods.settings import CAR_REPAIR
+from planners.joins.paths import MAX_GOALS
+from planners.search.log_phases import PHASES, met
 from planners.search.motion_primitives import GEARS, car_primitives
 from planners.search.room_drive import RoomDrive
 from planners.task import JoinCounts, Task
 from planners.types import Bools, Floats, Ints
+from planners.vehicle import Limits
 
-OFFSETS = (0.0, -CAR_REPAIR.goal_offset, CAR_REPAIR.goal_offset)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PartialDrive:
+    """Consecutive curves of a car; immutable: every change returns a new drive."""
+
+    grid: Coverage
+    """Grid of bins; the counts are not used."""
+    rate: float
+    """[Hz] of the log."""
+    limits: Limits
+    here: Floats
+    """(3,) [m, m, rad] pose of the car."""
+    curves: tuple[Curve, ...] = ()
+    clock: float = 0.0
+    """[s] start of the last curve."""
+    earlier: Bools | None = None
+    """(PHASES, nx, ny, n_phi) bins in a log of each phase before the last curve; None: no bins."""
+
+    @cached_property
+    def seen(self) -> Bools:
+        """(PHASES, nx, ny, n_phi) bins in a log of each phase."""
+        if not self.curves:
+            return np.zeros((PHASES, *self.grid.reachable.shape), dtype=np.bool_)
+        last = met(self.curves[-1], self.grid, self.rate, self.clock)
+        return last if self.earlier is None else last | self.earlier
+
+    @property
+    def met(self) -> Bools:
+        """(nx, ny, n_phi) bins in a log of every phase."""
+        return np.asarray(self.seen.all(axis=0))
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.clock + self.curves[-1].duration if self.curves else 0.0
+
+    @property
+    def curve(self) -> Curve:
+        """All curves as one; there must be at least one."""
+        return join_curves(list(self.curves))
+
+    def extended(self, curve: Curve) -> PartialDrive:
+        """Return the drive continued along a curve that starts at `here`."""
+        return replace(
+            self,
+            here=curve.end,
+            curves=(*self.curves, curve),
+            clock=self.duration,
+            earlier=self.seen if self.curves else None,
+        )
+
+    def replaced_by(self, curve: Curve) -> PartialDrive:
+        """Return the drive along one curve instead of all curves."""
+        return replace(self, curves=(), clock=0.0, earlier=None).extended(curve)
+
+    def without_last(self, back: float) -> PartialDrive | None:
+        """Return the drive without its last `back` [s]; None if the whole last curve would be removed."""
+        if back == 0.0:
+            return self
+        if not self.curves:
+            return None
+        *first, curve = self.curves
+        last = int(np.searchsorted(curve.starts, curve.duration - back, side="right")) - 1
+        if last <= 0:
+            return None
+        shorter = car_section(curve, 0, last, self.limits)
+        return replace(self, here=shorter.end, curves=(*first, shorter))
+
+
+MAX_IDLE_QUERIES = 12
+"""Maximum number of successive queries that leave no fewer bins missing. A path from before the end of
+the drive may remove bins, so the number of missing bins can rise temporarily."""
+STEP_BACK = (4.0, 16.0, 64.0, 256.0)
+"""[s] before the end of the drive, from which a path is tried if none starts at the end."""
+SEARCH_FROM = 12
+"""Number of missing bins nearby, at and above which the search replaces OMPL."""
+MAX_SEARCHES = 3
+"""Maximum number of searches for one bin."""
+SEARCH_RADIUS = 3.0
+"""[m] radius in which missing bins count as nearby."""
+
+OFFSETS = (0.0, -0.3, 0.3)
+"""Offsets of goals from the middle of a bin, as shares of its width, height and heading."""
 GOALS_IN_BIN = np.array([(x, y, turn) for turn in OFFSETS for x in OFFSETS for y in OFFSETS])
 """(27, 3) goals within a bin, as offsets from its middle in shares of its width, height and heading.
 
-If many bins are missing, only the first `CAR_REPAIR.few_goals` are used. Each bin has three more goals at its
+If many bins are missing, only those at the middle heading, which are first, are used. Each bin has three more goals at its
 place farthest from walls, because slits contain no others."""
 SearchOn = Callable[[Bools, Floats, int], RoomDrive | None]
 """(wanted bins, start pose (3,), seed) -> drive; None if it covers no bin."""
@@ -78,7 +164,7 @@ class CarRepair:
         """Return the bins (nx, ny, n_phi) that the log of some phase misses, without the lost ones."""
         return np.asarray(self.todo & ~self.drive.met & ~self.lost)
 
-    def drive_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *CAR_REPAIR.step_back)) -> bool:
+    def drive_to(self, pose: Floats, before: tuple[float, ...] = (0.0, *STEP_BACK)) -> bool:
         """Drive to a pose (3,) from the drive's end, or from a time [s] `before` it; return whether a path is found.
 
         A drive may end where OMPL finds no way out within its iterations. The bins of the removed part are
@@ -105,7 +191,7 @@ class CarRepair:
         missing = self.missing()
         for back, explore in (
             (0.0, False),
-            *((back, False) for back in CAR_REPAIR.step_back[:-1]),
+            *((back, False) for back in STEP_BACK[:-1]),
             (0.0, True),
         ):
             drive = self.drive.without_last(back)
@@ -132,7 +218,7 @@ class CarRepair:
             visit = self.search(room & self.missing(), self.drive.here, seed)
             if visit is not None:
                 self.append_curve(visit.curve)
-        elif self.drive_to(start, CAR_REPAIR.step_back):
+        elif self.drive_to(start, STEP_BACK):
             self.append_curve(curve)
 
     def add_detours(self, speed: float) -> None:
@@ -160,15 +246,11 @@ class CarRepair:
             fewest, idle = min(n, fewest), 0 if n < fewest else idle + 1
             if n == 0:
                 return
-            if idle > CAR_REPAIR.max_idle_queries:
+            if idle > MAX_IDLE_QUERIES:
                 self.lost |= missing
                 return
-            near = missing & (self.n_searches < CAR_REPAIR.max_searches) & self._nearby_cells()[:, :, None]
-            if (
-                self.drive.curves
-                and near.sum() >= CAR_REPAIR.search_from
-                and self._search_nearby(near, round_)
-            ):
+            near = missing & (self.n_searches < MAX_SEARCHES) & self._nearby_cells()[:, :, None]
+            if self.drive.curves and near.sum() >= SEARCH_FROM and self._search_nearby(near, round_):
                 continue
             self._drive_to_one_of(missing, round_)
 
@@ -197,7 +279,7 @@ class CarRepair:
         """Return whether each cell (nx, ny) is near the end of the drive; a search from there reaches only these."""
         rows, columns = np.indices(self.todo.shape[:2])
         i, k = _cell(self.drive.here, self.task)
-        return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= CAR_REPAIR.search_radius)
+        return np.asarray(np.hypot(rows - i, columns - k) * self.task.reach.cell <= SEARCH_RADIUS)
 
     def _search_nearby(self, wanted: Bools, round_: int) -> bool:
         """Continue the search from the end of the drive; return whether it covers a bin."""
@@ -231,11 +313,9 @@ def goals_in(missing: Bools, here: Floats, heading_offset: float, task: Task) ->
     """
     reach, grid = task.reach, task.coverage
     bins = np.argwhere(missing)
-    bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[: JOINS.max_goals]]
+    bins = bins[np.argsort(np.hypot(*(bins[:, :2] - _cell(here, task)).T), kind="stable")[:MAX_GOALS]]
     shares = (
-        GOALS_IN_BIN
-        if len(bins) * len(GOALS_IN_BIN) <= JOINS.max_goals
-        else GOALS_IN_BIN[: CAR_REPAIR.few_goals]
+        GOALS_IN_BIN if len(bins) * len(GOALS_IN_BIN) <= MAX_GOALS else GOALS_IN_BIN[: len(OFFSETS) ** 2]
     )  # (p, 3)
     own = np.repeat(bins, len(shares), axis=0)
     x, y, turn = np.tile(shares, (len(bins), 1)).T

@@ -8,8 +8,14 @@ import numpy as np
 
 from planners.arena import wrap
 from planners.curve import CurveBuilder, blend_offset
-from planners.methods.settings import SPINS
 from planners.types import Bools, Floats
+
+GUARD = 0.1
+"""Minimum depth to which a spin enters its last bin, as a share of the width of a heading bin."""
+BORDER = 0.02
+"""An arrival closer than this to the border of a bin, as a share of its width, does not cover it."""
+MAX_REVERSE = 0.8
+"""[m] maximum length of a move driven backward to save turning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +39,9 @@ def least_sweep(phi: float, need: Bools, direction: int) -> float:
     width = 2 * np.pi / len(need)
     bins = np.flatnonzero(need)
     inside = wrap(np.subtract(phi, bins * width, dtype=np.float64)) / width  # -0.5 .. 0.5 within the bin
-    border = (bins - direction * (0.5 - SPINS.guard)) * width
+    border = (bins - direction * (0.5 - GUARD)) * width
     ahead = direction * (border - phi) % (2 * np.pi)
-    ahead[abs(inside) <= 0.5 - SPINS.border] = 0.0
+    ahead[abs(inside) <= 0.5 - BORDER] = 0.0
     return float(ahead.max(initial=0.0))
 
 
@@ -56,10 +62,10 @@ def choose_departure(
         sweep = 0.0 if need is None else least_sweep(phi, need, direction)
         if target is None:
             width = 0.0 if need is None or sweep == 0.0 else 2 * np.pi / len(need)
-            choices = [Departure(angle=direction * (sweep + (0.5 - SPINS.guard) * width), distance=0.0)]
+            choices = [Departure(angle=direction * (sweep + (0.5 - GUARD) * width), distance=0.0)]
         else:
             reach = float(np.hypot(*(target - builder.pose[:2])))
-            gears = (1, -1) if reach <= SPINS.max_reverse and need is not None else (1,)
+            gears = (1, -1) if reach <= MAX_REVERSE and need is not None else (1,)
             choices = [_towards(builder, target, direction, gear, sweep, overlap) for gear in gears]
         for choice in choices:
             cost = abs(choice.angle)

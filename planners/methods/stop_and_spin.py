@@ -6,18 +6,31 @@ import numpy as np
 
 from planners import order
 from planners.clearance import Barriers
+from planners.coverage import DWELL_PERIODS
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
-from planners.joins.paths import connect
-from planners.methods.settings import SPINS, STOP_AND_SPIN
+from planners.joins.paths import join
 from planners.methods.spins import choose_departure
 from planners.order import CellGraph
 from planners.priority import cell_bands
-from planners.reach import Reach
+from planners.reach import MIN_SHARE, Reach
 from planners.search.log_phases import missed
-from planners.settings import LOG, REACH
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import Bools, Floats, Ints
+
+OVERLAP = 0.5
+"""[s] overlap of turns and moves where there is enough free space."""
+BLEND_ROOM = 0.012
+"""[m] beyond the clearance that the blend of a move and a turn needs."""
+NEAR_SHARE = 0.75
+"""Share of the area required for reachability, above which cells are visited too: another raster may count them."""
+MAX_ROUNDS = 4
+"""Maximum number of extra rounds for bins that a log may miss."""
+STEP_BACK = (1, 4, 16, 64)
+"""Numbers of stops to go back when no path leads on."""
+ZIGZAG = 0.22
+"""Alternating lean of a lane's moves to the left and right, as a share of the width of a heading bin; each spin is
+shorter by twice that."""
 
 
 def plan_stop_and_spin(task: Task) -> PlannedDrive:
@@ -43,7 +56,7 @@ def bins_to_visit(task: Task) -> Bools:
     PlanError : Every bin is covered already.
     """
     todo = task.coverage.reachable & (task.coverage.counts == 0)
-    near = (task.reach.areas() >= STOP_AND_SPIN.near_share * REACH.min_share) & ~task.reach.cells()
+    near = (task.reach.areas() >= NEAR_SHARE * MIN_SHARE) & ~task.reach.cells()
     todo |= (near & task.reach.blocks(task.reach.mask).any(axis=-1))[:, :, None] & (task.coverage.counts == 0)
     if not todo.any():
         raise PlanError("every reachable bin is covered already; nothing is left to plan")
@@ -57,7 +70,7 @@ class StopAndSpinPlanner:
         self.task, self.todo = task, todo
         self.clearance = task.reach.clearance
         width = 2 * np.pi / task.coverage.headings
-        self.spin = width * task.rate / LOG.dwell_periods
+        self.spin = width * task.rate / DWELL_PERIODS
         self.joins = JoinCounts()
         self.builder: CurveBuilder | None = None
 
@@ -65,7 +78,7 @@ class StopAndSpinPlanner:
         """Visit all cells, then visit again those with bins that the log of some phase misses."""
         self._visit(self.todo)
         missing = self._missed()
-        for _ in range(STOP_AND_SPIN.max_rounds):
+        for _ in range(MAX_ROUNDS):
             if not missing.any():
                 break
             self._visit(missing)
@@ -74,9 +87,7 @@ class StopAndSpinPlanner:
                 break
         assert self.builder is not None
         self.builder.wait(1.0 / self.task.rate)
-        return PlannedDrive(
-            curve=self.builder.curve(), stops=np.array(self.builder.stops).reshape(-1, 4), joins=self.joins
-        )
+        return PlannedDrive.of(self.builder, self.joins)
 
     def _missed(self) -> Bools:
         """Return the bins (nx, ny, n_phi) that the log of at least one phase misses."""
@@ -91,9 +102,7 @@ class StopAndSpinPlanner:
         stops = zigzag(cells, sequence, self.task, self.clearance)
         here = self._here()
         ends = stops if here is None else np.concatenate([here[None, :2], stops])
-        paths, joins = connect(
-            ends[:-1], ends[1:], reach=self.task.reach, barriers=self.task.barriers, seed=self.task.seed
-        )
+        paths, joins = join(self.task, ends[:-1], ends[1:])
         needs: list[Bools | None] = [todo[tuple(cells.index[k])] for k in sequence.tolist()]
         if here is not None:
             needs = [None, *needs]
@@ -133,11 +142,9 @@ class StopAndSpinPlanner:
             route.append((path[-1], needs[k + 1], label))
         self.joins += joins
         points = np.array([point for point, _, _ in route])
-        roomy = self.task.barriers.are_clear(
-            points[:-1], points[1:], self.clearance + STOP_AND_SPIN.blend_room
-        )
+        roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.clearance + BLEND_ROOM)
         roomy = np.concatenate([[False], roomy, [False]])
-        blend = np.where(roomy[:-1] & roomy[1:], STOP_AND_SPIN.overlap, 0.0)  # (n stops,)
+        blend = np.where(roomy[:-1] & roomy[1:], OVERLAP, 0.0)  # (n stops,)
         builder = self.builder or CurveBuilder(
             self._first_pose(points), self.task.vehicle.limits, spin=self.spin
         )
@@ -153,15 +160,9 @@ class StopAndSpinPlanner:
 
     def _path_around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
         """Find another path to a stop; if the last stops were not reached either, go back along the route first."""
-        back = [0] if not stuck else [b for b in STOP_AND_SPIN.step_back if b < len(route)]
+        back = [0] if not stuck else [b for b in STEP_BACK if b < len(route)]
         froms = np.array([route[-1 - b] for b in back])
-        paths, joins = connect(
-            froms,
-            np.repeat(target[None], len(froms), axis=0),
-            reach=self.task.reach,
-            barriers=self.task.barriers,
-            seed=self.task.seed,
-        )
+        paths, joins = join(self.task, froms, np.repeat(target[None], len(froms), axis=0))
         for b, path in zip(back, paths, strict=True):
             if path is not None:
                 self.joins += JoinCounts(
@@ -190,7 +191,7 @@ def standing_places(reach: Reach, barriers: Barriers, todo: Bools) -> CellGraph:
     best = np.where(free >= 0, depth, -np.inf).argmax(axis=1)
     chosen = reach.origin + index * reach.cell + inner[best]
     central = np.where(free > 0, 1.0, 0.0).mean(axis=1) > 0.5
-    central &= barriers.distances(centres) >= reach.clearance + STOP_AND_SPIN.blend_room
+    central &= barriers.distances(centres) >= reach.clearance + BLEND_ROOM
     chosen[central] = centres[central]
     pairs = order.neighbours(index)
     clear = barriers.are_clear(chosen[pairs[:, 0]], chosen[pairs[:, 1]], reach.clearance)
@@ -239,7 +240,7 @@ def zigzag(cells: CellGraph, sequence: Ints, task: Task, clearance: float) -> Fl
     The moves then lean left and right in turn. A spin from one lean to the other passes all headings in less
     than a full turn.
     """
-    lean = SPINS.zigzag * 2 * np.pi / task.coverage.headings
+    lean = ZIGZAG * 2 * np.pi / task.coverage.headings
     index, stops = cells.index[sequence], cells.places[sequence].copy()
     shift = 0.5 * task.reach.cell * np.tan(lean)
     step = np.diff(index, axis=0)
@@ -252,7 +253,7 @@ def zigzag(cells: CellGraph, sequence: Ints, task: Task, clearance: float) -> Fl
         stops = moved
     middle = cells.places[sequence]
     for _ in range(3):
-        roomy = task.barriers.are_clear(stops[:-1], stops[1:], clearance + STOP_AND_SPIN.blend_room)
+        roomy = task.barriers.are_clear(stops[:-1], stops[1:], clearance + BLEND_ROOM)
         bad = np.zeros(len(stops), dtype=np.bool_)
         bad[:-1] |= ~roomy
         bad[1:] |= ~roomy

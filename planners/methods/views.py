@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from planners import order
+from planners.coverage import DWELL_PERIODS
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
-from planners.joins.paths import connect
+from planners.joins.paths import continued, join
 from planners.methods.stop_and_spin import standing_places
-from planners.settings import LOG
-from planners.task import JoinCounts, PlannedDrive, Task
-from planners.types import Floats, Ints
+from planners.task import PlannedDrive, Task
+from planners.types import Floats, Ints, Progress
 
 
 def plan_views(task: Task) -> PlannedDrive:
@@ -30,19 +30,29 @@ def plan_views(task: Task) -> PlannedDrive:
     _check(task, task.targets)
     targets = task.targets[_order(task, task.targets)]
     start = targets[0] if task.start is None else task.start
-    builder = CurveBuilder(start, task.vehicle.limits)
-    ends = np.concatenate([start[None, :2], targets[:, :2]])
-    paths, joins = connect(ends[:-1], ends[1:], reach=task.reach, barriers=task.barriers, seed=task.seed)
-    for k, (target, path) in enumerate(zip(targets, paths, strict=True)):
-        if path is not None and not np.allclose(path[0], builder.pose[:2], atol=1e-9):
-            path, joins = _reconnect(task, builder.pose[:2], target, joins)  # the view before was not reached
+    driven = drive_views(targets, start, task, task.progress)
+    if driven is None:
+        raise PlanError("no path leads to any pose to visit; choose another start")
+    return driven
+
+
+def drive_views(
+    views: Floats, here: Floats, task: Task, progress: Progress | None = None
+) -> PlannedDrive | None:
+    """Drive from `here` (3,) through the views (n, 3) to which a path is found, with a scan at each; None: to none."""
+    ends = np.concatenate([here[None, :2], views[:, :2]])
+    paths, joins = join(task, ends[:-1], ends[1:])
+    builder = CurveBuilder(here, task.vehicle.limits)
+    for k, (view, leg) in enumerate(zip(views, paths, strict=True)):
+        path, more = continued(leg, builder.pose[:2], view[:2], task)
+        joins += more
         if path is not None:
             builder.follow(path)
-            builder.face(float(target[2]))
-            builder.wait(LOG.dwell_periods / task.rate, "view")
-        if task.progress:
-            task.progress(k + 1, len(targets))
-    return PlannedDrive(curve=builder.curve(), stops=np.array(builder.stops).reshape(-1, 4), joins=joins)
+            builder.face(float(view[2]))
+            builder.wait(DWELL_PERIODS / task.rate, "view")
+        if progress:
+            progress(k + 1, len(views))
+    return PlannedDrive.of(builder, joins) if builder.clock > 0 else None
 
 
 def _check(task: Task, targets: Floats) -> None:
@@ -71,13 +81,3 @@ def _order(task: Task, targets: Floats) -> Ints:
     first = None if task.start is None else 2 * len(targets)
     tour = order.tour(cost, first, np.random.default_rng(task.seed))
     return np.array([k for k, _ in tour if k < len(targets)], dtype=np.int64)
-
-
-def _reconnect(
-    task: Task, here: Floats, target: Floats, joins: JoinCounts
-) -> tuple[Floats | None, JoinCounts]:
-    """Find a path to a target from the robot's actual place."""
-    paths, more = connect(
-        here[None], target[None, :2], reach=task.reach, barriers=task.barriers, seed=task.seed
-    )
-    return paths[0], joins + more

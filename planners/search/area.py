@@ -8,8 +8,13 @@ import numpy as np
 
 from planners.reach import Reach
 from planners.rooms import NEIGHBOUR_STEPS, open_borders
-from planners.search.settings import AREA
 from planners.types import Bools, Floats, Ints
+
+MIN_INNER_SHARE = 0.12
+"""Minimum reachable share of a cell's inner half for its bins to count only there; else they count everywhere
+(`python -m benchmarks.tracking_error`)."""
+MARGIN_CELLS = 8
+"""Number of cells around a room in which the search may drive."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,8 +51,8 @@ def search_area(reach: Reach, cells: Bools | None = None) -> SearchArea:
     if cells is not None:
         at = np.argwhere(cells)
         low, high = (
-            np.maximum(at.min(axis=0) - AREA.margin_cells, 0),
-            np.minimum(at.max(axis=0) + 1 + AREA.margin_cells, high),
+            np.maximum(at.min(axis=0) - MARGIN_CELLS, 0),
+            np.minimum(at.max(axis=0) + 1 + MARGIN_CELLS, high),
         )
     window = np.s_[low[0] : high[0], low[1] : high[1]]
     nodes = np.s_[low[0] * p : high[0] * p, low[1] * p : high[1] * p]
@@ -74,4 +79,4 @@ def _inner(reach: Reach) -> Bools:
     p = reach.per_cell
     blocks = reach.blocks(reach.mask).reshape(*reach.shape, p, p)
     within = abs((np.arange(p) + 0.5) / p - 0.5) <= 0.25
-    return np.asarray(blocks[:, :, within][:, :, :, within].mean(axis=(2, 3)) >= AREA.min_inner_share)
+    return np.asarray(blocks[:, :, within][:, :, :, within].mean(axis=(2, 3)) >= MIN_INNER_SHARE)

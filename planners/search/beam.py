@@ -6,7 +6,7 @@ clearance.
 
 Score. A node n' is the end of branch j from a node n at time t(n), so t(n') = t(n) + cost[m, j]. Its score is:
 
-    score(n') = score(n) + (1 - discount t(n)) Σ value[c] (1 + completion_weight (1 - missing[c] / n_phi)).
+    score(n') = score(n) + (1 - discount t(n) / horizon) Σ value[c] (1 + completion_weight (1 - missing[c] / n_phi)).
 
 The sum is over the bins that the branch covers and that the path to n has not covered; c is the cell of each
 bin. A node at or beyond the horizon, t(n') ≥ horizon, has a penalty:
@@ -36,6 +36,13 @@ from planners.search.kernel_world import (
 )
 from planners.search.workspace import SearchTables, beam_capacity_kernel
 from planners.types import Floats, Int32s, Ints
+
+DISCOUNT = 0.19
+"""Share of a bin's value that is lost over the whole horizon."""
+GOAL_PULL = 0.5
+"""Value of ending one cell nearer to the nearest missing bin."""
+OVERTIME = 0.25
+"""Value of ending one unit of time earlier, among sequences that exceed the horizon."""
 
 
 @inlined_kernel
@@ -72,12 +79,12 @@ def _expand(node: int, layer: int, n_nodes: int, capacity: int, tables: SearchTa
         )
         workspace.parents[n_nodes], workspace.branches[n_nodes], workspace.n_covered[n_nodes] = node, j, count
         workspace.total_covered[n_nodes] = workspace.total_covered[node] + count
-        workspace.scores[n_nodes] = workspace.scores[node] + gain * (1.0 - settings.discount * layer)
+        workspace.scores[n_nodes] = workspace.scores[node] + gain * (
+            1.0 - DISCOUNT / settings.horizon * layer
+        )
         if later >= settings.horizon:
             away = min(cell_distance(at[n_nodes, 0], at[n_nodes, 1], world, workspace.far), 1000)
-            workspace.scores[n_nodes] -= settings.goal_pull * away + settings.overtime * (
-                later - settings.horizon
-            )
+            workspace.scores[n_nodes] -= GOAL_PULL * away + OVERTIME * (later - settings.horizon)
         workspace.pool[later, fill[later]] = n_nodes
         fill[later] += 1
         n_nodes += 1
@@ -120,15 +127,7 @@ def beam_search(state: Floats, tables: SearchTables) -> tuple[int, int]:
             elif popped > most and costs[o] > bound:
                 break
             node = pool[layer, o]
-            key = lattice_key(
-                at[node, 0],
-                at[node, 1],
-                wide(hs[node]),
-                wide(ms[node]),
-                world,
-                primitives,
-                settings.lattice,
-            )
+            key = lattice_key(at[node, 0], at[node, 1], wide(hs[node]), wide(ms[node]), world, primitives)
             if find_slot(workspace.hash_keys, slots, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
                 continue  # a better node has the same key
             kept += 1

@@ -10,7 +10,8 @@ bins near the car, with a bucket queue for the integer costs (Dial's algorithm).
 
 The map guides the search for the nearest bin; unlike distances in cells, it includes headings. For a car, the
 bin next to it may be ten metres away. The map is no bound: the ends of primitives are rounded to lattice
-points, up and down in turn, so that the errors average out.
+points, up and down in turn, so that the errors average out. The constants were set with `python -m
+benchmarks.coverage_planners --drive reeds_shepp` (column `cpu`).
 """
 
 from __future__ import annotations
@@ -23,13 +24,21 @@ from planners.kernel import inner_kernel, outer_kernel
 from planners.search.area import SearchArea
 from planners.search.kernel_world import SearchWorld
 from planners.search.motion_primitives import MotionPrimitives
-from planners.search.settings import HEURISTIC, SearchSettings
+from planners.search.settings import SearchSettings
 from planners.types import Bools, Floats, Int16s, Int32s, Ints
 
-POINTS_PER_CELL = HEURISTIC.points_per_cell
-RIM = HEURISTIC.rim
-OVERRUN = HEURISTIC.overrun
-ROUNDINGS = HEURISTIC.roundings
+POINTS_PER_CELL = 4
+"""Number of lattice points along the side of a cell."""
+WINDOW_RADIUS = 1.2
+"""[m] radius of the map around the car."""
+CLEARANCE_SLACK = 0.02
+"""[m] by which a lattice point may be too near to a wall, since poses next to it may be clear."""
+RIM = 5
+"""Number of empty points along the border of the window; more than the length of a primitive."""
+OVERRUN = 6
+"""[units of time] that the wave continues after it has reached the car."""
+ROUNDINGS = 16
+"""Number of roundings of a primitive's end to the lattice, used in turn so that the errors average out."""
 UNREACHED = 1 << 12
 """[units of time] cost-to-go of poses that the wave does not reach."""
 
@@ -70,7 +79,7 @@ def heuristic_lattice(primitives: MotionPrimitives, area: SearchArea) -> Heurist
     at = [np.minimum(((np.arange(n) + 0.5) * spacing / step).astype(np.int64), distance.shape[k] - 1)
           for k, n in enumerate(size.tolist())]  # fmt: skip
     side, bins, n_gears = (
-        2 * (int(np.ceil(HEURISTIC.window_radius / spacing)) + RIM) + 1,
+        2 * (int(np.ceil(WINDOW_RADIUS / spacing)) + RIM) + 1,
         primitives.heading_bin[steps_per_class // 2 :: steps_per_class],
         len(primitives.next_mode),
     )
@@ -85,7 +94,7 @@ def heuristic_lattice(primitives: MotionPrimitives, area: SearchArea) -> Heurist
         spacing=spacing,
         steps_per_class=steps_per_class,
         side=side,
-        free=np.ascontiguousarray(distance[np.ix_(*at)] >= area.clearance - HEURISTIC.clearance_slack),
+        free=np.ascontiguousarray(distance[np.ix_(*at)] >= area.clearance - CLEARANCE_SLACK),
         back=((before - classes - points * len(bins)) * n_gears).astype(np.int64),
         cost=length,
         gear=gear,

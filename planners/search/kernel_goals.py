@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planners.kernel import inner_kernel, outer_kernel
-from planners.search.kernel_world import SearchWorld, find_escape
+from planners.search.kernel_world import LATTICE, SearchWorld, find_escape
 from planners.search.workspace import SearchTables
 from planners.types import Ints
 
@@ -18,7 +18,7 @@ def is_safe(x: float, y: float, h: int, m: int, tables: SearchTables) -> bool:
     remembered = world.trapped.size > 1
     i, k = 0, 0
     if remembered:
-        i, k = int((x - world.x0) / settings.lattice), int((y - world.y0) / settings.lattice)
+        i, k = int((x - world.x0) / LATTICE), int((y - world.y0) / LATTICE)
         if world.trapped[i, k, h]:
             return False
     safe = bool(find_escape(x, y, h, m, settings.safe_depth, world, primitives, workspace.scratch) >= 0)

@@ -16,12 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
-from planners.search.settings import KERNELS
 from planners.types import Bools, Floats, Int32s, Ints
 
-MAX_BINS_PER_PRIMITIVE = KERNELS.max_bins
-STOP_MARGIN = KERNELS.stop_margin
-MAX_ESCAPE_TRIES = KERNELS.max_escape_tries
+MAX_BINS_PER_PRIMITIVE = 3
+"""Maximum number of bins that one primitive covers."""
+STOP_MARGIN = 0.003
+"""[m] minimum distance of a stop from the border of its cell to cover its bin, so that rounding cannot move it out."""
+MAX_ESCAPE_TRIES = 3000
+"""Maximum number of primitives tried before a state counts as unsafe."""
+LATTICE = 0.03
+"""[m] side of a lattice cell; positions in one cell count as the same state."""
 wide: Any = np.int64
 """Numba compiles a kernel once for each type of integer; the callers of the large ones pass this one."""
 
@@ -295,11 +299,9 @@ def find_slot(table: Ints, size: int, stamp: int, marks: Ints, key: int) -> int:
 
 
 @inner_kernel
-def lattice_key(
-    x: float, y: float, h: int, m: int, world: SearchWorld, primitives: PrimitiveArrays, lattice: float
-) -> int:
+def lattice_key(x: float, y: float, h: int, m: int, world: SearchWorld, primitives: PrimitiveArrays) -> int:
     """Return the index of the lattice cell of a state."""
-    i, k = int((x - world.x0) / lattice), int((y - world.y0) / lattice)
+    i, k = int((x - world.x0) / LATTICE), int((y - world.y0) / LATTICE)
     return int(((i * 65536 + k) * primitives.offsets.shape[0] + h) * primitives.offsets.shape[1] + m)
 
 

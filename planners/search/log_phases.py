@@ -14,13 +14,14 @@ import numpy as np
 from planners.coverage import Coverage
 from planners.curve import NODES, WEIGHTS, Curve
 from planners.kernel import inner_kernel, outer_kernel
-from planners.search.settings import KERNELS
 from planners.types import Bools, Floats
 
-PHASES = KERNELS.phases
+PHASES = 10
+"""Number of phases of the log's clock for which every bin must be recorded."""
 END_TOLERANCE = 1e-9
 """Maximum time from the end of the drive to the last logged pose, as a share of the log period."""
-MIN_CLOSED_FORM_TURN = KERNELS.min_closed_form_turn
+MIN_CLOSED_FORM_TURN = 0.05
+"""[rad] and [rad/s] above which the closed form of an arc keeps its precision; below, quadrature is used."""
 
 
 def missed(curve: Curve, todo: Bools, grid: Coverage, rate: float) -> Bools:

@@ -14,13 +14,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planners.coverage import DWELL_PERIODS
 from planners.curve import displace
-from planners.search.settings import KERNELS, PRIMITIVES, SPIN_ROOM
-from planners.settings import LOG
 from planners.types import Bools, Floats, Int32s, Ints
 from planners.vehicle import Limits
 
-SAMPLES = KERNELS.samples
+SAMPLES = 8
+"""Number of poses at which a primitive is tested for clearance and bins."""
+MAX_DURATION = 0.5
+"""[s] maximum duration of a primitive of a robot that turns in place."""
+MAX_LEVELS = 6
+"""Maximum number of speed levels in each direction."""
+MAX_ARC = 0.2
+"""[m] maximum length of a car's primitive."""
+GEAR_CHANGE_COST = 0.75
+"""Cost of a gear change as a share of v / a, the time that stopping and starting add to a drive."""
+SAFE_DEPTH_REVERSING, SAFE_DEPTH_FORWARD = 1, 25
+"""Number of primitives that must be able to follow a safe state of a car with and without a reverse gear; with
+fewer, the latter gets trapped in front of walls."""
+INNER_DWELL = 0.85
+"""Minimum stay in the inner half of a bin, as a share of the log period; the path out of the bin takes the rest."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,10 +99,10 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
     rate : [Hz] Rate of the log, which must record every bin for any phase of its clock.
     """
     width = 2 * np.pi / headings
-    omega = min(limits.omega, width * rate / LOG.dwell_periods)
+    omega = min(limits.omega, width * rate / DWELL_PERIODS)
     parts, core_margin, has_core = _cut_bin(width / omega, rate)
     step, tau = width / parts, width / parts / omega
-    n_levels = int(np.clip(round(limits.v / (limits.a * tau)), 1, PRIMITIVES.max_levels))
+    n_levels = int(np.clip(round(limits.v / (limits.a * tau)), 1, MAX_LEVELS))
     rise = min(limits.a * tau, limits.v / n_levels)  # [m/s] from one level to the next
     level = np.array(sorted(range(-n_levels, n_levels + 1), key=abs))  # mode 0 is at rest
     then, speeds = _steps_of_level(level), rise * level
@@ -152,10 +165,10 @@ def _cut_bin(duration: float, rate: float) -> tuple[int, float, bool]:
     The number of primitives, `core_margin` of MotionPrimitives, and whether only the middle half of headings
     counts.
     """
-    usual = max(math.ceil(duration / PRIMITIVES.max_duration - 1e-9), 1)
+    usual = max(math.ceil(duration / MAX_DURATION - 1e-9), 1)
     for parts in range(usual, 0, -1):
         for margin in (0.5, 0.0):
-            if _core_stay(parts, margin) * duration * rate >= SPIN_ROOM.inner_dwell:
+            if _core_stay(parts, margin) * duration * rate >= INNER_DWELL:
                 return parts, margin, True
     return max(min(math.floor(duration * rate), usual), 1), 0.5, False
 
@@ -193,12 +206,12 @@ def car_primitives(
     border, rounding would decide which of the two bins is logged.
     """
     width, radius = 2 * np.pi / headings, limits.turning_radius
-    parts = max(math.ceil(width * radius / PRIMITIVES.max_arc - 1e-9), 1)
-    v = min(limits.v, limits.omega * radius, width * radius * rate / LOG.dwell_periods)
+    parts = max(math.ceil(width * radius / MAX_ARC - 1e-9), 1)
+    v = min(limits.v_on_arc, width * radius * rate / DWELL_PERIODS)
     shares = (4, 2, 1) if len(gears) > 1 else (1,)
     unit_turn = width / parts / shares[0]
     unit = unit_turn * radius / v
-    pause = max(round(PRIMITIVES.gear_change_cost * v / limits.a / unit), 1)
+    pause = max(round(GEAR_CHANGE_COST * v / limits.a / unit), 1)
     branches = [(g, c, n) for g in range(len(gears)) for n in shares for c in (0, 1, -1)]
     modes, n_headings = len(gears), headings * parts * shares[0]
     first = 0.5 * unit_turn if len(shares) > 1 else width / parts / 8
@@ -246,6 +259,6 @@ def car_primitives(
         is_fine=np.tile((length == 1) & (len(shares) > 1), (modes, 1)),
         stops_first=changes,
         heading_bin=(np.floor(heading / width + 0.5).astype(np.int64) % headings).astype(np.int16),
-        safe_depth=PRIMITIVES.reeds_shepp_depth if len(gears) > 1 else PRIMITIVES.dubins_depth,
+        safe_depth=SAFE_DEPTH_REVERSING if len(gears) > 1 else SAFE_DEPTH_FORWARD,
         omega=0.0,
     )

@@ -21,6 +21,7 @@ from planners.search.kernel_world import (
     try_primitive,
     wide,
 )
+from planners.search.settings import SearchSettings
 from planners.search.workspace import GOAL_CAPACITY, SearchTables
 from planners.types import Floats
 
@@ -46,7 +47,7 @@ def _expand_nearest(
         if not free:
             continue
         x2, y2, h2, m2 = end_state(x, y, h, m, j, primitives)
-        key = 2 * lattice_key(x2, y2, h2, m2, world, primitives, settings.lattice) + (n_covered > 0)
+        key = 2 * lattice_key(x2, y2, h2, m2, world, primitives) + (n_covered > 0)
         if (
             find_slot(
                 workspace.hash_keys, len(workspace.hash_keys), workspace.stamp[0], workspace.hash_stamps, key
@@ -132,12 +133,13 @@ def nearest_goal_search(
     return -1
 
 
-def find_nearest_goal(state: Floats, tables: SearchTables, heuristic: HeuristicBuffers) -> int:
+def find_nearest_goal(
+    state: Floats, tables: SearchTables, settings: SearchSettings, heuristic: HeuristicBuffers
+) -> int:
     """Search for the nearest missing bin, first guided by the cost-to-go map if the settings request it, then widely.
 
     The branches are written to `workspace.sequence`. The result is that of `nearest_goal_search`.
     """
-    settings = tables.settings
     if settings.guided_width > 0:
         update_heuristic(state, tables.world, heuristic)
         found = nearest_goal_search(state, tables, settings.guided_width, True, heuristic)

@@ -21,24 +21,31 @@ from planners.search.beam import beam_search, drive
 from planners.search.heuristic import HeuristicBuffers, heuristic_buffers
 from planners.search.kernel_goals import cell_distances
 from planners.search.kernel_world import (
+    LATTICE,
     PrimitiveArrays,
     SearchWorld,
     apply_primitive,
     find_escape,
     new_scratch,
 )
-from planners.search.motion_primitives import MotionPrimitives
+from planners.search.motion_primitives import INNER_DWELL, MotionPrimitives
 from planners.search.nearest_goal import find_nearest_goal, nearest_goal_search
-from planners.search.settings import KERNELS, SearchSettings
-from planners.search.workspace import (
-    SearchTables,
-    beam_settings,
-    workspace_for,
-)
+from planners.search.settings import SearchSettings
+from planners.search.workspace import SearchTables, beam_settings, workspace_for
 from planners.types import Bools, Floats, Int32s, Ints
 
-DECISIONS_PER_TICK = KERNELS.decisions_per_tick
-MAX_STOP_PRIMITIVES = KERNELS.max_stop_primitives
+RETRY_DWELL = (1.3, 1.6)
+"""Minimum stay [log periods] in bins that a log of some phase missed, at the first and the second retry."""
+MIN_BINS = 3
+"""Minimum number of bins covered by the beam; below it, the nearest missing bin is searched for instead."""
+VALUE_NOISE = 0.1
+"""Random share by which the values of cells differ between seeds."""
+MAX_SKIPPED_CELLS = 16
+"""Maximum number of unreachable cells that a search gives up."""
+MAX_STOP_PRIMITIVES = 24
+"""Maximum number of primitives to come to rest at the end of a search."""
+DECISIONS_PER_TICK = 20
+"""Number of decisions between two progress reports."""
 
 
 class SearchStatus(IntEnum):
@@ -105,13 +112,13 @@ class CoverageSearch:
         self.area, self.primitives, self.rate = area, primitives, rate
         self.settings = settings or SearchSettings()
         self.rng = np.random.default_rng(seed)
-        self.value = 1.0 + self.settings.value_noise * self.rng.random(need.shape[:2])
+        self.value = 1.0 + VALUE_NOISE * self.rng.random(need.shape[:2])
         if value is not None:
             self.value *= value
         size = np.ones(3, dtype=np.int64)
         if primitives.safe_depth > 1:
             size[:] = (
-                *np.ceil(np.array(area.distance.shape) * area.step / self.settings.lattice).astype(int) + 1,
+                *np.ceil(np.array(area.distance.shape) * area.step / LATTICE).astype(int) + 1,
                 primitives.n_headings,
             )
         self._trapped = np.zeros(size, dtype=np.bool_)
@@ -146,7 +153,7 @@ class CoverageSearch:
             cell=area.cell,
             clearance=area.clearance,
             dwell=dwell,
-            inner_dwell=self.settings.inner_dwell * dwell,
+            inner_dwell=INNER_DWELL * dwell,
             trapped=self._trapped,
         )
 
@@ -189,7 +196,8 @@ class CoverageSearch:
     def _tables(self) -> SearchTables:
         """Return the input and the memory of the kernels."""
         settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
-        workspace = workspace_for(settings, primitives, self.world.missing.shape)
+        shape = self.world.missing.shape
+        workspace = workspace_for(settings, self.settings.goal_width, primitives, shape)
         return SearchTables(settings, self.world, primitives, workspace)
 
     def _decide(
@@ -207,8 +215,8 @@ class CoverageSearch:
         state, units = self.state, settings.executed
         cell_distances(tables.world, workspace.far, workspace.cell_queue)
         n, n_new = beam_search(state, tables)
-        if n_new < min(settings.min_bins, left):
-            found = find_nearest_goal(state, tables, heuristic)
+        if n_new < min(MIN_BINS, left):
+            found = find_nearest_goal(state, tables, self.settings, heuristic)
             if found > 0:
                 n, units = found, settings.goal_horizon
             elif n_new == 0:
@@ -221,7 +229,7 @@ class CoverageSearch:
 
     def complete(self, tick: Callable[[int], bool]) -> None:
         """Run until no more bins can be reached: give up cells that no path enters, and back out of dead ends."""
-        for _ in range(self.settings.max_skipped_cells):
+        for _ in range(MAX_SKIPPED_CELLS):
             status = self.run(tick)
             if status in (SearchStatus.STOPPED, SearchStatus.DONE):
                 return
@@ -309,18 +317,5 @@ class CoverageSearch:
         p = self.primitives
         apart = p.offsets - p.offsets[..., [(p.offsets.shape[3] - 1) // 2], :]
         farthest = float(np.hypot(*np.moveaxis(apart, -1, 0)).max()) + 2 * self.area.step
-        return PrimitiveArrays(
-            p.offsets,
-            p.bins,
-            p.core,
-            p.turned_steps,
-            p.next_mode,
-            p.cost,
-            p.sample_period,
-            p.is_fine,
-            p.stops_first,
-            p.heading_bin,
-            farthest,
-            int(p.cost.max()),
-            p.core_margin,
-        )
+        same = {name: getattr(p, name) for name in PrimitiveArrays._fields if hasattr(p, name)}
+        return PrimitiveArrays(**same, max_offset=farthest, max_cost=int(p.cost.max()))

@@ -15,32 +15,24 @@ from planners.search.kernel_world import (
     new_scratch,
 )
 from planners.search.motion_primitives import MotionPrimitives
-from planners.search.settings import KERNELS, SearchSettings
+from planners.search.settings import SearchSettings
 from planners.types import Floats, Int32s, Ints
 
-GOAL_CAPACITY = KERNELS.goal_capacity
+GOAL_CAPACITY = 8
+"""Capacity of each unit of time in the search for the nearest bin, as a multiple of its width."""
 
 
 class BeamSettings(NamedTuple):
-    """`settings.SearchSettings` for the kernels, with times in units of the primitives."""
+    """What the kernels need of `settings.SearchSettings`, with times in units of the primitives."""
 
     horizon: int
     executed: int
     width: int
     safe_depth: int
     """See `MotionPrimitives.safe_depth`."""
-    min_bins: int
     goal_horizon: int
-    goal_width: int
     goal_max_states: int
-    discount: float
-    """Per unit of time."""
-    goal_pull: float
     completion_weight: float
-    overtime: float
-    lattice: float
-    """[m] side of a lattice cell."""
-    guided_width: int
     can_repeat: bool
     """Whether a bin may be met twice within the horizon; a spinning robot meets each heading once per revolution."""
 
@@ -54,16 +46,9 @@ def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> Bea
         executed=max(round(s.executed / unit), 1),
         width=s.beam_width,
         safe_depth=primitives.safe_depth,
-        min_bins=s.min_bins,
         goal_horizon=s.goal_horizon,
-        goal_width=s.goal_width,
         goal_max_states=s.goal_max_states,
-        discount=s.discount / horizon,
-        goal_pull=s.goal_pull,
         completion_weight=s.completion_weight,
-        overtime=s.overtime,
-        lattice=s.lattice,
-        guided_width=s.guided_width,
         can_repeat=not (
             primitives.omega and len(np.unique(primitives.heading_bin)) == primitives.n_headings >= horizon
         ),
@@ -136,11 +121,13 @@ def beam_capacity(width: int, n_branches: int) -> int:
 beam_capacity_kernel = inner_kernel(beam_capacity)
 
 
-def workspace_for(settings: BeamSettings, primitives: PrimitiveArrays, shape: tuple[int, ...]) -> Workspace:
+def workspace_for(
+    settings: BeamSettings, goal_width: int, primitives: PrimitiveArrays, shape: tuple[int, ...]
+) -> Workspace:
     """Return the memory of searches with these settings in an area of `shape` (nx, ny) cells."""
     n_branches = primitives.next_mode.shape[1]
     layers = settings.horizon + primitives.max_cost + 1
-    capacity = max(beam_capacity(settings.width, n_branches), settings.goal_width * GOAL_CAPACITY)
+    capacity = max(beam_capacity(settings.width, n_branches), goal_width * GOAL_CAPACITY)
     most = max(settings.goal_max_states, layers * beam_capacity(settings.width, n_branches))
     slots = 1 << int(np.ceil(np.log2(2 * most)))
     whole = np.empty((6, most), dtype=np.int32)

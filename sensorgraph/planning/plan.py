@@ -17,9 +17,9 @@ from logs.html_table import html_table
 from logs.run import Run
 from planners.arena import Arena
 from planners.errors import PlanError
+from planners.joins.ompl_process import JOIN_PLANNERS
 from planners.maps.no_go import Zone, without
 from planners.planning import WALL_MARGIN
-from planners.settings import JOIN_PLANNERS
 from planners.trajectory import Trajectory
 from sensorgraph.arguments import Count
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error

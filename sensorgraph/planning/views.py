@@ -21,7 +21,7 @@ from logs.run import RangeSensor
 from planners.arena import Arena
 from planners.errors import PlanError
 from planners.kernel import kernel
-from planners.methods.settings import OVERVIEW
+from planners.methods.overview import N_CANDIDATES
 from planners.reach import Reach
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
@@ -62,7 +62,7 @@ def views_within(
         raise PlanError(f"`views` is {n}, expected 1 or more")
     rng = np.random.default_rng(seed)
     nodes = np.nonzero(reach.mask)
-    pick = rng.integers(len(nodes[0]), size=max(OVERVIEW.candidates, CANDIDATES_PER_VIEW * n))
+    pick = rng.integers(len(nodes[0]), size=max(N_CANDIDATES, CANDIDATES_PER_VIEW * n))
     places = reach.nodes((nodes[0][pick], nodes[1][pick]))
     candidates = np.column_stack([places, rng.uniform(-np.pi, np.pi, len(places))])
     if graph is None:
