@@ -67,7 +67,7 @@ def learned_from(logs: list[TrainingLog]) -> Floats:
         for log in logs:
             aside, bearings = is_set_aside(len(log.poses)), log.run.sensor.bearings
             evidence = CellEvidence.of(log.poses[~aside], log.ranges[~aside], bearings).widened()
-            table = tabulate(evidence, beta, (CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma))
+            table = tabulate(evidence, beta, (CELLS.first_sigma, 0.0, CELLS.first_sigma))
             phi, label, weight = training_samples(
                 evidence, log.poses[aside], log.ranges[aside], bearings, table, N_SAMPLES
             )
@@ -110,7 +110,7 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
         if others:
             beta = learned_from([other for other in logs if other is not log])
             evidence = CellEvidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()
-            sigma = CELLS.answers.first_sigma
+            sigma = CELLS.first_sigma
             table = tabulate(evidence, beta, (sigma, 0.0, sigma))
             model = CellModel(**{**vars(graph.model), "beta": beta, "table": table})
             stranger = Sensorgraph(

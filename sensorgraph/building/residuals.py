@@ -11,9 +11,11 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import POSES_AT_A_TIME, Sensorgraph
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.place_noise import places_of
-from sensorgraph.models.residual_memory import MEMORY, ResidualMemory, events_of
+from sensorgraph.models.residual_memory import ResidualMemory, events_of
 from sensorgraph.types import Progress
 
+MIN_READINGS, MAX_READINGS, MAX_SCANS = 2000, 2_000_000, 10_000
+"""Readings that are too few for a memory, and readings and scans that are used of a log, from its start."""
 BETWEEN_RUNS = 1e7
 """[s] Time between runs for the memory, so that two runs share only what is permanent."""
 
@@ -25,11 +27,11 @@ def with_memory(graph: Sensorgraph, scans: TrainingScans, progress: Progress | N
     ------
     SensorgraphError : There are too few readings.
     """
-    n = min(MEMORY.max_scans, -(-MEMORY.max_readings // graph.sensor.n_rays))
+    n = min(MAX_SCANS, -(-MAX_READINGS // graph.sensor.n_rays))
     some = scans.part(slice(0, n))
-    if some.ranges.size < MEMORY.min_readings:
+    if some.ranges.size < MIN_READINGS:
         raise SensorgraphError(
-            f"{some.ranges.size} training readings are too few to identify a `memory`, expected {MEMORY.min_readings:,} "
+            f"{some.ranges.size} training readings are too few to identify a `memory`, expected {MIN_READINGS:,} "
             "or more; give a longer log"
         )
     parts = []

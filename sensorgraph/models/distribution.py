@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.models.settings import MIXTURE
 from sensorgraph.types import Floats, Ints
 
 SQRT_HALF, DENSITY_AT_0 = 0.7071067811865476, 0.3989422804014327
 """sqrt(1/2), and the standard normal density at 0."""
-TAIL = MIXTURE.tail_sigmas
+TAIL = 6.0
+"""Standard deviations beyond which the tail of a surface is neglected: 1e-9."""
 QUANTILE_TOLERANCE = 1e-7
 """[m] Width of the bracket at which the search for a quantile ends."""
 

@@ -16,12 +16,16 @@ from scipy.special import ndtr
 from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
 from sensorgraph.models.distribution import DENSITY_AT_0, SQRT_HALF, TAIL, chance_below
-from sensorgraph.models.settings import MIXTURE
 from sensorgraph.types import Bools, Floats
 
-MODE_WINDOW, CLEAR_SHARE = MIXTURE.mode_window, MIXTURE.clear_share
-BRACKET, MAX_STEPS, MIN_STEP = MIXTURE.bracket_sigmas, MIXTURE.max_steps, MIXTURE.min_step
-MIN_WEIGHT = MIXTURE.min_weight
+CLEAR_SHARE = 0.999
+"""Share of one candidate above which the median is its range; the error is below 0.003 standard deviations."""
+BRACKET = 8.0
+"""Half width of the bracket of the median, in standard deviations of the widest candidate: more than `TAIL`."""
+MAX_STEPS, MIN_STEP = 40, 1e-8
+"""Maximum number of Newton steps, of which five are usual; step at which they end, in standard deviations."""
+MIN_WEIGHT = 1e-12
+"""Total weight of the candidates below which a return is not predicted."""
 MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
 """Columns of the table that `summarise` fills."""
 
@@ -75,12 +79,16 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
 
 @inner_kernel
 def densest(r: Floats, w: Floats, s: Floats, n: int) -> tuple[int, int]:
-    """Return first and last (excluded) of the heaviest group of candidates within `MODE_WINDOW` sigma of its first."""
+    """Return first and last (excluded) of the heaviest group of candidates within `TAIL` sigma of its first.
+
+    This window holds all of one surface and little of the next; it was set by the median error of the mode
+    (`python -m benchmarks.office_graph`, `python -m benchmarks.real_logs LOG`).
+    """
     best, first, last = -1.0, 0, n
     for i in range(n):
         total = 0.0
         j = i
-        while j < n and r[j] <= r[i] + MODE_WINDOW * s[i]:
+        while j < n and r[j] <= r[i] + TAIL * s[i]:
             total += w[j]
             j += 1
         if total > best:
@@ -144,7 +152,7 @@ def summarise_plain(
     mean = float(w @ r) / total
     sigma = math.sqrt(float(w @ ((r - mean) ** 2 + s**2)) / total)
     median = _median_plain(r, w, s)
-    inside = (r >= r[:, None]) & (r <= (r + MODE_WINDOW * s)[:, None])  # (window, candidate)
+    inside = (r >= r[:, None]) & (r <= (r + TAIL * s)[:, None])  # (window, candidate)
     inside &= np.arange(n) >= np.arange(n)[:, None]
     window = inside[int(np.argmax(inside @ w))]
     mode = _median_plain(r[window], w[window], s[window])

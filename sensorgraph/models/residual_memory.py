@@ -22,40 +22,33 @@ from sensorgraph.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, kw_only=True)
 class MemorySettings:
-    """Settings of the residual memory: grids, pairs of readings and limits."""
+    """Places and times whose residuals may be correlated."""
 
     sizes: tuple[float, ...] = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
     """[m] Sides of the squares, from range noise to a piece of furniture; each twice the one before."""
     lifetimes: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
     """[s] Lifetimes of the squares' numbers, one per decade; an unlimited lifetime is added."""
-    gaps: tuple[float, ...] = (0.01, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-    """[s] Class limits of the time between the readings of a pair; the first class holds pairs of one scan.
-    `sizes` are the class limits of distance."""
-    scan_lags: tuple[int, ...] = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)
-    """Numbers of scans between two readings of one ray that form a pair."""
-    ray_lags: tuple[int, ...] = (1, 2)
-    """Numbers of rays between two readings of one scan that form a pair."""
-    strides: tuple[int, ...] = (21, 55, 144, 377, 987, 2584)
-    """Numbers of readings between the two of a pair, among the readings of one largest square in order of time."""
     revisit_time: float = 30.0
-    """[s] Minimum time between the readings of such a pair, so that the place is seen again."""
-    max_pairs: int = 200_000
-    """Maximum number of pairs of each kind."""
+    """[s] Minimum time between two readings of a place for the second to count as a second look at it."""
     min_pairs: float = 1000.0
     """Number of uncorrelated pairs added as a prior on each share; it suppresses chance correlations of few pairs."""
-    min_readings: int = 2000
-    """Minimum number of readings from which a memory is identified."""
-    max_readings: int = 2_000_000
-    """Maximum number of readings used, from the start of the log."""
-    max_scans: int = 10_000
-    """Maximum number of scans used, from the start of the log."""
-    max_total_share: float = 0.98
-    """Upper limit of the sum of all shares."""
-    min_stored: float = 1e-3
-    """[m, s] Smallest size or lifetime accepted from a file."""
 
 
 MEMORY = MemorySettings()
+GAPS = (0.01, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+"""[s] Class limits of the time between the readings of a pair; the first class holds pairs of one scan.
+
+The sizes of the squares are the class limits of distance."""
+SCAN_LAGS, RAY_LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89), (1, 2)
+"""Numbers of scans between two readings of one ray that form a pair, and of rays between two of one scan."""
+STRIDES = (21, 55, 144, 377, 987, 2584)
+"""Numbers of readings between the two of a pair, among the readings of one largest square in order of time."""
+MAX_PAIRS = 200_000
+"""Maximum number of pairs of each kind."""
+MAX_TOTAL_SHARE = 0.98
+"""Upper limit of the sum of all shares."""
+MIN_STORED = 1e-3
+"""[m, s] Smallest size or lifetime accepted from a file."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,7 +132,7 @@ class ResidualMemory:
         shape = (found["sizes"].size, found["lifetimes"].size + 1)
         for name in ("sizes", "lifetimes"):
             check_shape(f"memory.{name}", found[name], (found[name].size,), "f")
-            check_range(f"memory.{name}", found[name], MEMORY.min_stored)
+            check_range(f"memory.{name}", found[name], MIN_STORED)
         for name in ("events", "noise"):
             check_shape(f"memory.{name}", found[name], shape, "f")
             check_range(f"memory.{name}", found[name], 0, 1)
@@ -186,20 +179,18 @@ class _Pairs:
         time, good = np.repeat(stamps, known.shape[1]), known.ravel()
         sector = squares(where, 1.0)[:, 2]
         flat = np.arange(known.size).reshape(known.shape)
-        found = [(flat[:-k].ravel(), flat[k:].ravel(), False) for k in MEMORY.scan_lags if k < len(flat)]
-        found += [
-            (flat[:, :-j].ravel(), flat[:, j:].ravel(), False) for j in MEMORY.ray_lags if j < known.shape[1]
-        ]
+        found = [(flat[:-k].ravel(), flat[k:].ravel(), False) for k in SCAN_LAGS if k < len(flat)]
+        found += [(flat[:, :-j].ravel(), flat[:, j:].ravel(), False) for j in RAY_LAGS if j < known.shape[1]]
         order = np.flatnonzero(good)
         order = order[np.lexsort((time[order], key[order]))]
-        found += [(order[:-stride], order[stride:], True) for stride in MEMORY.strides if stride < len(order)]
+        found += [(order[:-stride], order[stride:], True) for stride in STRIDES if stride < len(order)]
         parts = []
         for a, b, is_again in found:
             use = good[a] & good[b] & (sector[a] == sector[b])
             if is_again:
                 use &= (key[a] == key[b]) & (time[b] - time[a] > MEMORY.revisit_time)
             some = np.flatnonzero(use)
-            some = some[:: len(some) // MEMORY.max_pairs + 1]
+            some = some[:: len(some) // MAX_PAIRS + 1]
             parts.append((a[some], b[some]))
         a, b = (np.concatenate(side) for side in zip(*parts, strict=True))
         apart = np.hypot(*(where[a, :2] - where[b, :2]).T)
@@ -218,9 +209,9 @@ class _Pairs:
         found, full = product(self.a, self.b)
         known = np.isfinite(found)
         found, full, gap, apart = found[known], full[known], self.gap[known], self.distance[known]
-        n_gaps = len(MEMORY.gaps) + 1
+        n_gaps = len(GAPS) + 1
         of = np.searchsorted(sizes, apart, side="right") * n_gaps
-        of += np.searchsorted(MEMORY.gaps, gap, side="right")
+        of += np.searchsorted(GAPS, gap, side="right")
 
         def summed(values: Floats) -> Floats:
             return np.asarray(np.bincount(of, values, minlength=len(sizes) * n_gaps), dtype=np.float64)
@@ -238,11 +229,11 @@ class _Pairs:
         rows = np.vstack([np.column_stack(columns), ridge])
         target = np.r_[summed(found) * weight, np.zeros(len(columns))]
         shares = np.asarray(nnls(rows, target)[0])
-        if shares.sum() > MEMORY.max_total_share:  # solve again with the sum constrained
+        if shares.sum() > MAX_TOTAL_SHARE:  # solve again with the sum constrained
             heavy = 1e3 * float(np.linalg.norm(rows))
             rows = np.vstack([rows, np.full(len(columns), heavy)])
-            shares = np.asarray(nnls(rows, np.r_[target, heavy * MEMORY.max_total_share])[0])
-            shares *= min(1.0, MEMORY.max_total_share / float(shares.sum()))
+            shares = np.asarray(nnls(rows, np.r_[target, heavy * MAX_TOTAL_SHARE])[0])
+            shares *= min(1.0, MAX_TOTAL_SHARE / float(shares.sum()))
         return shares.reshape(len(sizes), -1)
 
 

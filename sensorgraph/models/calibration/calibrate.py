@@ -30,6 +30,7 @@ from sensorgraph.models.calibration.normal_equations import (
     INCIDENCE,
     MOUNT,
     N_COMMON,
+    RIDGE,
     NormalEquations,
     normal_equations,
     select_terms,
@@ -55,6 +56,14 @@ from sensorgraph.work_counter import WorkCounter
 
 logger = logging.getLogger(__name__)
 
+PROBE_READINGS = 250_000
+"""Readings, in whole scans, of a first test and of the search for the gauge; without any gain there, the full test is skipped."""
+COARSE_SIGMAS, FINE_SIGMA = (0.025, 0.015), 0.012
+"""[m] Range noise assumed in the coarse rounds and in the fine ones."""
+GAUGE_REACHES = (0.012, 0.003)
+"""[m] Half width of the search for the gauge in each fine round."""
+SELECTIONS = 3
+"""Number of selections of terms; the penalty of a ray's term falls with the share of rays that have one."""
 COARSE_PASSES, ROUND_PASSES, REFINE_PASSES = 6, 12, 3
 """Approximate cost of a coarse round, a fine round and a pose refinement, in passes over the readings; for progress."""
 
@@ -202,7 +211,7 @@ class _JointCalibration:
         if exceeds_max_noise(self.noise.sigma_xy, self.noise.sigma_yaw):
             logger.info("calibration: returns and poses are inconsistent: %s", self.noise)
             return False
-        all_readings, probe = self.readings, CALIBRATION.probe_readings
+        all_readings, probe = self.readings, PROBE_READINGS
         work = WorkCounter(tick, probe + len(all_readings))
         if not force and len(all_readings) > 2 * probe:
             self.readings = _whole_scans(all_readings, probe)
@@ -242,23 +251,23 @@ class _JointCalibration:
         penalties[MOUNT] = np.inf
         terms = select_terms(normal, np.zeros(len(penalties)), penalties)[2]
         limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / self.n_scans
-        mount_matrix = normal.matrix[MOUNT, MOUNT] + CALIBRATION.adjustment.ridge * np.eye(3)
+        mount_matrix = normal.matrix[MOUNT, MOUNT] + RIDGE * np.eye(3)
         spread = np.linalg.inv(mount_matrix) + np.diag(limits)
         offset = np.linalg.solve(mount_matrix, normal.rhs[MOUNT])
         return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * penalty, terms
 
     def run(self, tick: Progress) -> CalibratedFaces:
         """Calibrate from coarse to fine; for a laser as specified, only refine the poses."""
-        reaches = CALIBRATION.gauge.reaches[: 2 if self.laser_differs else 1]
+        reaches = GAUGE_REACHES[: 2 if self.laser_differs else 1]
         n = len(self.readings)
         fit, round_ = fit_cost(n), (ROUND_PASSES if self.laser_differs else REFINE_PASSES) * n
         coarse = COARSE_PASSES * n
-        n_coarse = len(CALIBRATION.coarse_sigmas) if self.laser_differs else 0
+        n_coarse = len(COARSE_SIGMAS) if self.laser_differs else 0
         work = WorkCounter(tick, n_coarse * coarse + len(reaches) * (fit + round_) + fit)
         if self.laser_differs:
             self.shifts = np.zeros_like(self.shifts)  # they compensated errors of the laser
             self.pose_noise = self.pose_errors = (0.0, 0.0)
-            for i, sigma in enumerate(CALIBRATION.coarse_sigmas):
+            for i, sigma in enumerate(COARSE_SIGMAS):
                 self.set_faces(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
                 self.adjust(incidence=i > 0)
@@ -266,9 +275,7 @@ class _JointCalibration:
         for reach in reaches:
             rays = self.corrected()
             self.set_faces(
-                fit_faces(
-                    rays, sigma=CALIBRATION.fine_sigma, pose_errors=self.pose_errors, progress=work.part(fit)
-                )
+                fit_faces(rays, sigma=FINE_SIGMA, pose_errors=self.pose_errors, progress=work.part(fit))
             )
             work.add(fit)
             if self.laser_differs:
@@ -297,7 +304,7 @@ class _JointCalibration:
         hold = self.gauge is not None
         normal = normal_equations(self.readings, self.lasers, matches, faces, hold=hold)
         current = np.concatenate([np.zeros(5), self.terms.incidence, self.terms.constant, self.terms.slope])
-        for _ in range(CALIBRATION.adjustment.penalty_rounds):  # penalties fall as more rays have a term
+        for _ in range(SELECTIONS):  # penalties fall as more rays have a term
             values, chosen, _ = select_terms(normal, current, self._penalties(normal, incidence=incidence))
             self.has_own = chosen[N_COMMON:].reshape(2, -1)
         self.faces = step_faces(faces, normal, values - current)
@@ -326,7 +333,7 @@ class _JointCalibration:
         """Fix the common shift of the walls by occlusion edges, then adjust the ray terms."""
         if not self.terms.has_incidence:
             return
-        some = _whole_scans(self.readings, CALIBRATION.gauge.readings)
+        some = _whole_scans(self.readings, PROBE_READINGS)
         matches = self.match(some)
         found = estimate_gauge(self.rays(some, matches.ranges), matches, self.faces, self.noise, reach=reach)
         before = self.gauge.shift if self.gauge is not None else 0.0

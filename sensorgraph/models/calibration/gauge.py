@@ -12,12 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.models.calibration.matching import Matches, range_change
-from sensorgraph.models.calibration.settings import CALIBRATION
+from sensorgraph.models.calibration.matching import MIN_RANGE, Matches, range_change
+from sensorgraph.models.faces.maximisation import m_step
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.models.faces.visibility import Rays, ReturnNoise, binned_faces, e_step, m_step, visible_lines
+from sensorgraph.models.faces.visibility import Rays, ReturnNoise, binned_faces, e_step, visible_lines
 
-GAUGE = CALIBRATION.gauge
+PASSES = 3
+"""EM iterations of the visibility for each shift."""
+MIN_STEP, MAX_SHIFT = 0.0008, 0.03
+"""[m] Step at which the search ends, and largest shift; a maximum there counts as not observable."""
+MIN_CONTRAST = 30.0
+"""[nats] Minimum drop of the log likelihood towards both ends of the search; binning alone causes a few."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,18 +61,18 @@ def find_peak(log_likelihood: Callable[[float], float], *, reach: float) -> Gaug
     step = reach / 2
     values = {i * step: log_likelihood(i * step) for i in range(-2, 3)}
     best = max(values, key=lambda shift: values[shift])
-    while abs(best) < GAUGE.max_shift:
+    while abs(best) < MAX_SHIFT:
         for neighbour in (best - step, best + step):
             if not any(abs(neighbour - shift) < step / 4 for shift in values):
                 values[neighbour] = log_likelihood(neighbour)
         top = max(values, key=lambda shift: values[shift])
         if top == best:
-            if step <= GAUGE.min_step:
+            if step <= MIN_STEP:
                 break
             step /= 2
         best = top
     clear = min(values[best] - value for value in (values[min(values)], values[max(values)]))
-    if abs(best) >= GAUGE.max_shift or clear < GAUGE.min_contrast:
+    if abs(best) >= MAX_SHIFT or clear < MIN_CONTRAST:
         return Gauge(shift=0.0, stderr=np.inf)
     near = sorted(values, key=lambda shift: abs(shift - best))[:3]
     curve, slope, _ = np.polyfit(np.array(near) - best, [values[shift] for shift in near], 2)
@@ -77,12 +82,10 @@ def find_peak(log_likelihood: Callable[[float], float], *, reach: float) -> Gaug
 
 def _log_likelihood(rays: Rays, matches: Matches, faces: FaceSet, noise: ReturnNoise, shift: float) -> float:
     """Return the log likelihood of the rays with faces and returns shifted along the normals."""
-    moved = replace(
-        rays, ranges=np.maximum(rays.ranges + range_change(matches, shift), CALIBRATION.matches.min_range)
-    )
+    moved = replace(rays, ranges=np.maximum(rays.ranges + range_change(matches, shift), MIN_RANGE))
     here = binned_faces(visible_lines(faces))
     here = here._replace(offsets=here.offsets + shift)
-    for _ in range(GAUGE.passes):
+    for _ in range(PASSES):
         expectation = e_step(moved, here, noise)
         here, _ = m_step(here, expectation, noise, refit=False)
     return e_step(moved, here, noise).log_likelihood

@@ -15,8 +15,6 @@ from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
-ADJUSTMENT = CALIBRATION.adjustment
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
@@ -61,10 +59,10 @@ class Calibration:
     def is_plausible(self) -> bool:
         """Return whether the deviations are plausible; inconsistent poses and scans lead to implausible ones."""
         return bool(
-            np.hypot(*self.offset[:2]) < ADJUSTMENT.max_mount_offset
-            and abs(self.offset[2]) < ADJUSTMENT.max_mount_turn
-            and np.abs(self.terms.constant).max() < CALIBRATION.matches.max_ray_bias
-            and np.abs(self.terms.slope).max() < ADJUSTMENT.max_slope
+            np.hypot(*self.offset[:2]) < CALIBRATION.max_mount_offset
+            and abs(self.offset[2]) < CALIBRATION.max_mount_turn
+            and np.abs(self.terms.constant).max() < CALIBRATION.max_ray_bias
+            and np.abs(self.terms.slope).max() < CALIBRATION.max_slope
         )
 
     def summary(self) -> dict[str, str]:

@@ -19,12 +19,14 @@ from sensorgraph.models.calibration.ray_terms import (
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet, bucket_grid, crossed_faces, new_march
 from sensorgraph.models.faces.reduction import RaySample
-from sensorgraph.models.faces.visibility import GATE, RayArrays, ReturnNoise, variance
+from sensorgraph.models.faces.visibility import FIT_GATE, GATE, MIN_COSINE, RayArrays, ReturnNoise, variance
 from sensorgraph.types import Bools, Floats, Ints
 
-MATCHES = CALIBRATION.matches
-MIN_MATCH_COSINE, MIN_PROBABILITY = MATCHES.min_cosine, MATCHES.min_probability
-GATE_SIGMAS, MAX_RAY_BIAS, MIN_RANGE = MATCHES.gate_sigmas, MATCHES.max_ray_bias, MATCHES.min_range
+MAX_RAY_BIAS = CALIBRATION.max_ray_bias
+MIN_SHIFT_COSINE = 0.02
+"""|n·u| below which a shift of the face does not change the range of a return."""
+MIN_RANGE = 1e-3
+"""[m] Lower limit of a corrected reading."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,13 +64,13 @@ def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Float
     """Assign the rays of a sample to scans; return readings and their poses (n_poses, 3).
 
     There is one pose per scan, or one per ray for a sweeping laser. A slow sweep is divided into several scans
-    (`PoseSettings.sweep_rate`).
+    (`CalibrationSettings.sweep_rate`).
     """
     new = np.ones(len(sample), dtype=np.bool_)
     new[1:] = (sample.poses[1:] != sample.poses[:-1]).any(axis=1)
     sweeps = sample.ray_poses is not None
     if sweeps:
-        n_parts = max(1, round(abs(sensor.sweep_time) * CALIBRATION.poses.sweep_rate))
+        n_parts = max(1, round(abs(sensor.sweep_time) * CALIBRATION.sweep_rate))
         new[1:] |= np.diff(sample.beams * n_parts // sensor.n_rays) != 0
     scan = np.cumsum(new) - 1
     readings = Readings(
@@ -156,7 +158,7 @@ def mean_incidence(matches: Matches, terms: RayTerms) -> float:
 def range_change(matches: Matches, shift: float) -> Floats:
     """Return the change of range (n,) [m] if all faces move along their normals by `shift` [m]; 0 without a face."""
     return np.where(
-        (matches.face >= 0) & (matches.den < -MATCHES.min_shift_cosine),
+        (matches.face >= 0) & (matches.den < -MIN_SHIFT_COSINE),
         shift / np.where(matches.den < 0, matches.den, -1.0),
         0.0,
     )
@@ -210,9 +212,9 @@ def _match_readings(
         values[i, 4] = t[at] + best_e * along
         values[i, 5] = probability
         if (
-            probability > MIN_PROBABILITY
-            and den < -MIN_MATCH_COSINE
-            and best_e * best_e < GATE_SIGMAS * GATE_SIGMAS * best_var
+            probability > 0.5
+            and den < -MIN_COSINE
+            and best_e * best_e < FIT_GATE * best_var
             and z < range_max
         ):
             values[i, 6] = probability / best_var

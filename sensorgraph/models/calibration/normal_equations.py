@@ -30,7 +30,7 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.calibration.ray_terms import MAX_OPTIC_RANGE, N_INCIDENCE, incidence_terms
-from sensorgraph.models.calibration.settings import CALIBRATION
+from sensorgraph.models.faces.maximisation import moved_lines
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Bools, Floats
 
@@ -38,8 +38,10 @@ MOUNT = slice(0, 3)
 COMMON = slice(3, 5)  # constant and slope shared by all rays
 INCIDENCE = slice(5, 5 + N_INCIDENCE)
 N_COMMON = 5 + N_INCIDENCE
-ADJUSTMENT = CALIBRATION.adjustment
-MIN_REMAINING = ADJUSTMENT.min_remaining
+RIDGE = 1e-9
+"""Added to the unit diagonal of the scaled equations, for nearly collinear unknowns."""
+MIN_REMAINING = 1e-6
+"""Minimum share of a term's information that is not explained by the selected terms."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,8 +93,7 @@ def normal_equations(
         matches.residual, weight, faces.normals, centre, matrix, rhs, face_matrix, face_rhs, coupling,
     )  # fmt: skip
     matrix += np.tril(matrix, -1).T
-    face_matrix[:, 0, 0] += 1.0  # [1/m²] prior that makes the block of a face without returns invertible
-    face_matrix[:, 1, 1] += ADJUSTMENT.turn_arm**2
+    face_matrix += np.eye(2)  # [1/m², 1/rad²] prior that makes the block of a face without returns invertible
     inverse = np.asarray(np.linalg.inv(face_matrix), dtype=np.float64)
     flat = coupling.reshape(2 * k, n)
     solved = np.einsum("kij,kjn->kin", inverse, coupling).reshape(2 * k, n)
@@ -121,18 +122,7 @@ def normal_equations(
 def step_faces(faces: FaceSet, normal: NormalEquations, step: Floats) -> FaceSet:
     """Shift and turn the faces according to a step of the other unknowns."""
     shift, turn = normal.faces_moved(step).T
-    turn = np.clip(turn, -ADJUSTMENT.max_turn, ADJUSTMENT.max_turn)
-    normals, tangents, c = faces.normals, faces.tangents, normal.centre
-    centre = normals * (faces.offsets + shift)[:, None] + tangents * c[:, None]
-    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    turned = cos * normals - sin * tangents
-    along = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
-    slide = (along * centre).sum(axis=1) - c
-    return faces._replace(
-        normals=turned,
-        offsets=(turned * centre).sum(axis=1),
-        edges=faces.edges + np.repeat(slide, np.diff(faces.first)),
-    )
+    return moved_lines(faces, shift, turn, normal.centre)
 
 
 def select_terms(normal: NormalEquations, current: Floats, penalties: Floats) -> tuple[Floats, Bools, float]:
@@ -154,7 +144,7 @@ def select_terms(normal: NormalEquations, current: Floats, penalties: Floats) ->
     if chosen.any():
         part = matrix[np.ix_(chosen, chosen)]
         scale = np.sqrt(np.diag(part))
-        scaled = part / scale[:, None] / scale + ADJUSTMENT.ridge * np.eye(len(part))
+        scaled = part / scale[:, None] / scale + RIDGE * np.eye(len(part))
         values[chosen] = np.linalg.solve(scaled, rhs[chosen] / scale) / scale
     return values, chosen, float(total_gain)
 
@@ -163,7 +153,7 @@ def standard_errors(normal: NormalEquations, chosen: Bools) -> Floats:
     """Return the standard errors (n,) of the selected unknowns; nan for the others."""
     part = normal.matrix[np.ix_(chosen, chosen)]
     scale = np.sqrt(np.diag(part))
-    inverse = np.linalg.inv(part / scale[:, None] / scale + ADJUSTMENT.ridge * np.eye(len(part)))
+    inverse = np.linalg.inv(part / scale[:, None] / scale + RIDGE * np.eye(len(part)))
     out = np.full(len(chosen), np.nan)
     out[chosen] = np.sqrt(np.diag(inverse)) / scale
     return out

@@ -19,7 +19,10 @@ from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.types import Floats, Ints
 
-POSES = CALIBRATION.poses
+FIRST_NOISE = np.array([0.005, 0.005, 0.005])
+"""[m, m, rad] Initial noise of the poses."""
+ROUNDS = 30
+"""Number of EM iterations."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,8 +77,8 @@ def _solve_damped(information: Floats, rhs: Floats) -> tuple[Floats, Floats, flo
 
     Log evidence: ½ sum_i g_i·x_i - ½ sum_i log det(I + H_i D).
     """
-    spread = np.array([POSES.first_noise[0], *POSES.first_noise]) ** 2
-    for _ in range(POSES.rounds if len(information) else 0):
+    spread = FIRST_NOISE**2
+    for _ in range(ROUNDS if len(information) else 0):
         inverse = np.linalg.inv(information + np.diag(1 / spread))
         found = np.einsum("nij,nj->ni", inverse, rhs)
         second = (found**2 + np.einsum("nii->ni", inverse)).mean(axis=0)
@@ -92,7 +95,7 @@ def _solve_damped(information: Floats, rhs: Floats) -> tuple[Floats, Floats, flo
 
 def exceeds_max_noise(sigma_xy: float, sigma_yaw: float) -> bool:
     """Return whether the noise of the poses [m, rad] exceeds what small corrections can repair."""
-    most_xy, most_yaw = POSES.max_noise
+    most_xy, most_yaw = CALIBRATION.max_pose_noise
     return sigma_xy > most_xy or sigma_yaw > most_yaw
 
 

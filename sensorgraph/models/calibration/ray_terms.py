@@ -13,13 +13,12 @@ from typing import Any, Self
 import numpy as np
 
 from planners.kernel import kernel, outer_kernel
-from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.types import Floats
 
 INCIDENCE_POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
 """Exponents of v and q in the terms of S."""
 N_INCIDENCE = len(INCIDENCE_POWERS)
-MAX_OPTIC_RANGE = CALIBRATION.matches.max_optic_range
+MAX_OPTIC_RANGE = 4.0
 """[m] range R beyond which S is independent of the range."""
 
 

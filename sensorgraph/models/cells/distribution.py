@@ -36,11 +36,17 @@ from sensorgraph.models.likelihood import MIN_DENSITY, log_density_of
 from sensorgraph.models.mixture import MIN_WEIGHT, densest, median_of
 from sensorgraph.types import Bools, Floats
 
-ANSWERS = CELLS.answers
-KNOTS = np.array(ANSWERS.knots)
+KNOTS = np.array([0.0, 0.03, 0.07, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0])
+"""Predicted probabilities of being off between which the correction is linear."""
+KNOT_WEIGHT = 20.0
+"""Weight of the prediction at each knot, and of the initial spread and tails, in returns."""
+FIRST_TAILS, TAIL_STEPS = (0.2, 0.7, 1.7), 12
+"""Initial share of wide errors, and factors of the standard deviation of narrow and wide ones; number of EM steps."""
 NORMAL_TAILS = np.array([0.0, 1.0, 1.0])
 """Tails of normal errors: share of wide ones, and factors of the standard deviation."""
-OUTLIER_DENSITY, MAX_UNSEEN_LENGTH = ANSWERS.outlier_density, ANSWERS.max_unseen_length
+OUTLIER_DENSITY = 1e-3
+"""[1/m] Density of outliers: returns that no face explains."""
+MAX_UNSEEN_LENGTH = CELLS.max_unseen_length
 
 
 @inner_kernel
@@ -219,15 +225,14 @@ def _add_parts(
 def fit_tails(set_aside: Sequence[SetAside], tables: Sequence[CellTable], reliability: Floats) -> Floats:
     """Return q, u and v (3,) from set-aside returns, by EM; each step scales u and v to (1 - q) u² + q v² = 1.
 
-    Each fold of set-aside scans has a table of the other scans. The prior is `knot_weight` returns of normal errors.
+    Each fold of set-aside scans has a table of the other scans. The prior is `KNOT_WEIGHT` returns of normal errors.
     """
-    prior = ANSWERS.knot_weight
-    tails = np.array(ANSWERS.first_tails)
-    for _ in range(ANSWERS.tail_steps):
+    tails = np.array(FIRST_TAILS)
+    for _ in range(TAIL_STEPS):
         sums = np.zeros((2, 2))
         for (poses, ranges, bearings), table in zip(set_aside, tables, strict=True):
             _add_parts(per_ray(poses), ranges, bearings, table, reliability, tails, sums)
-        counts, squares = sums.T + 0.5 * prior
+        counts, squares = sums.T + 0.5 * KNOT_WEIGHT
         variances = squares / counts * counts.sum() / squares.sum()
         tails = np.array([counts[1] / counts.sum(), *np.sqrt(variances)])
     return tails

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.models.base import OFF_DISTANCE
-from sensorgraph.models.cells.distribution import shape_mixtures
-from sensorgraph.models.cells.probability_calibration import KNOTS
+from sensorgraph.models.cells.distribution import KNOTS, shape_mixtures
 from sensorgraph.models.cells.ray_march import CellTable, list_candidates
 from sensorgraph.models.cells.set_aside import summarise_poses
 from sensorgraph.models.distribution import Mixture

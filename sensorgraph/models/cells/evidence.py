@@ -29,11 +29,12 @@ from sensorgraph.types import Floats
 Counts = NDArray[np.float32]
 T = TypeVar("T", bound=np.generic)
 
-EVIDENCE = CELLS.evidence
-CELL_SIZE, MAX_REACH, MIN_RANGE = EVIDENCE.cell_size, EVIDENCE.max_reach, EVIDENCE.min_range
-SURFACE_STEP, SURFACE_SLOPE = EVIDENCE.surface_step, EVIDENCE.surface_slope
-MAX_SURFACE_STEP = EVIDENCE.max_surface_step
-FREE_MARGIN, SURFACE_MARGIN_CELLS = EVIDENCE.free_margin, EVIDENCE.surface_margin_cells
+CELL_SIZE, MAX_REACH, MIN_RANGE = CELLS.cell_size, CELLS.max_reach, CELLS.min_range
+SURFACE_STEP, SURFACE_SLOPE, MAX_SURFACE_STEP = 0.10, 4.0, 0.6
+"""Distance between end points of neighbouring rays below which they met one surface: [m] at any range, in widths of the gap
+between the rays (for surfaces at grazing incidence), and [m] at most."""
+FREE_MARGIN, SURFACE_MARGIN_CELLS = 0.15, 1.5
+"""The gap between rays is free up to this distance before the shorter ray's end [m], and before one surface [cells]."""
 N_MOMENTS = 6  # count, x, y, xx, xy, yy of hits, [m] relative to the centre of their cell
 
 
@@ -102,7 +103,7 @@ class CellEvidence:
         self._extend(GridWindow.around(poses[..., :2].reshape(-1, 2), self.reach, self.window.cell))
         gaps = np.append(np.diff(bearings), 0.0)
         between = np.maximum(
-            np.round(gaps / EVIDENCE.max_ray_spacing).astype(np.int64) - 1, 0
+            np.round(gaps / CELLS.max_ray_spacing).astype(np.int64) - 1, 0
         )  # number of virtual rays after each ray
         room = (len(bearings) + int(between.sum())) * max_cells_met(self.reach, self.window.cell)
         done = 0

@@ -98,10 +98,7 @@ def is_key_frame(poses: Floats, run: Ints) -> Bools:
         if last >= 0 and run[i] == run[last]:
             x0, y0, phi0 = poses[last]
             turn = np.pi - abs(np.pi - abs(phi - phi0) % (2 * np.pi))
-            if (
-                np.hypot(x - x0, y - y0) < CELLS.evidence.key_frame_distance
-                and turn < CELLS.evidence.key_frame_turn
-            ):
+            if np.hypot(x - x0, y - y0) < CELLS.key_frame_distance and turn < CELLS.key_frame_turn:
                 continue
         keep[i] = True
         last = i

@@ -18,11 +18,20 @@ from sensorgraph.models.cells.grid import CellIndices, max_cells_met, per_ray, s
 from sensorgraph.models.cells.ray_march import RATES, CellTable, face_range
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import Floats32, expand_products, features
+from sensorgraph.models.stretches import N_FOLDS, N_STRETCHES
 from sensorgraph.types import Bools, Floats
 
-LEARNING = CELLS.learning
-RANGE_SPREAD, CANDIDATE_DISTANCE = LEARNING.range_spread, LEARNING.candidate_distance
-MIN_AT_RISK = LEARNING.min_at_risk
+MIN_SET_ASIDE = 50
+"""Number of key frames to set aside; a short log sets aside several folds in turn to reach it."""
+RANGE_SPREAD = CELLS.first_sigma
+CANDIDATE_DISTANCE = 5 * RANGE_SPREAD
+"""[m] Distance from the measured range within which a cell may have stopped the ray."""
+NEGLIGIBLE = 0.01
+"""Probability of reaching a cell below which the cell is no sample, and of a stop up to which it counts as passed."""
+INTERCEPT_RIDGE = 1e-6
+"""Precision of the prior of the constant term."""
+MAX_PASSED_SAMPLES = 60_000
+"""Maximum number of samples of passed cells, of all folds; they are weighted to represent all of them."""
 MAX_LOGIT = 30.0
 """Logit beyond which a probability is numerically 0 or 1."""
 MIN_STEP, MIN_FALL = 1e-3, 1e-5
@@ -42,15 +51,13 @@ class SetAside(NamedTuple):
 
 def is_set_aside(n: int, fold: int = 0) -> Bools:
     """Return a mask of the scans (n,) that are set aside for learning: ten stretches of 2 % for each fold 0 ... 4."""
-    stretch = np.arange(n) * min(LEARNING.n_stretches, n) // max(n, 1)
-    return np.asarray(stretch % LEARNING.folds == (2 + fold) % LEARNING.folds)
+    stretch = np.arange(n) * min(N_STRETCHES, n) // max(n, 1)
+    return np.asarray(stretch % N_FOLDS == (2 + fold) % N_FOLDS)
 
 
 def n_folds_of(n: int) -> int:
     """Return the number of folds of n key frames to set aside in turn: 0 if there are fewer key frames than folds."""
-    if n < LEARNING.folds:
-        return 0
-    return min(LEARNING.folds, math.ceil(LEARNING.min_set_aside * LEARNING.folds / n))
+    return 0 if n < N_FOLDS else min(N_FOLDS, math.ceil(MIN_SET_ASIDE * N_FOLDS / n))
 
 
 @kernel
@@ -113,7 +120,7 @@ def list_at_risk(
                 before = ends[k]
                 if chord <= 0.0:  # through a corner
                     continue
-                if at_risk < MIN_AT_RISK:
+                if at_risk < NEGLIGIBLE:
                     break
                 share = stop[k] / total if hit else 0.0
                 current = min(share / at_risk, 1.0)
@@ -133,16 +140,16 @@ def fit_logistic(
     prior: Floats,
     *,
     steps: int,
-    ridge: float = LEARNING.ridge,
+    ridge: float = CELLS.ridge,
 ) -> Floats:
     """Fit a logistic regression by Newton's method with step halving.
 
     Maximise sum weight (label log p + (1 - label) log(1 - p)) - ½ sum penalty (beta - prior)², with
     p = 1 / (1 + exp(-phi·beta)). The step solves (phi' W phi + penalty) change = phi' (weight (label - p)) -
-    penalty (beta - prior), with W = weight p (1 - p). The penalty is `ridge`, and `intercept_ridge` for the constant.
+    penalty (beta - prior), with W = weight p (1 - p). The penalty is `ridge`, and `INTERCEPT_RIDGE` for the constant.
     """
     penalty = np.full(len(start), ridge)
-    penalty[0] = LEARNING.intercept_ridge
+    penalty[0] = INTERCEPT_RIDGE
 
     def loss(beta: Floats) -> tuple[float, Floats]:
         eta = phi @ beta
@@ -175,17 +182,17 @@ def training_samples(
     ranges: Floats,
     bearings: Floats,
     table: CellTable,
-    most: int = LEARNING.max_passed_samples,
+    most: int = MAX_PASSED_SAMPLES,
 ) -> tuple[Floats32, Floats, Floats]:
     """Return phi (n, n_terms), label (n,) and weight (n,) of the cells that set-aside rays reached."""
-    size = max(len(poses) * len(bearings) * LEARNING.samples_per_ray, 1000)
+    size = ranges.size * max_cells_met(table.reach, table.cell)
     rows, sectors = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     label, weight = np.empty(size), np.empty(size)
     n = list_at_risk(per_ray(poses), ranges, bearings, table, rows, sectors, label, weight)
     label, weight = label[:n], weight[:n]
     use: list[CellIndices] = []
     weight = weight.copy()
-    for group in (np.flatnonzero(label > LEARNING.min_label), np.flatnonzero(label <= LEARNING.min_label)):
+    for group in (np.flatnonzero(label > NEGLIGIBLE), np.flatnonzero(label <= NEGLIGIBLE)):
         keep = group[:: max(1, math.ceil(len(group) / most))]
         weight[keep] *= weight[group].sum() / max(weight[keep].sum(), 1e-12)
         use.append(keep)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.cells.evidence import N_MOMENTS, CellEvidence
 from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
-from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.types import Floats
 
 Codes = NDArray[np.uint8]
@@ -20,13 +19,18 @@ NO_LINE = 255
 """Code of a face without a line: only its distance along the ray is known."""
 N_ANGLES = 255
 """Number of codes of the normal's angle in [0, pi): 0 ... 254."""
-LINES = CELLS.lines
-OFFSET_STEP = LINES.offset_step
+OFFSET_STEP = 0.001
+"""[m] Resolution of the stored distance of a line from the centre of its cell (one byte)."""
 MAX_STEPS = 127.4
 """Largest offset in steps that fits into a signed byte after rounding."""
-RADIUS, FALLBACK_RADIUS = LINES.radius, LINES.fallback_radius
-MIN_HITS, MIN_ELONGATION = LINES.min_hits, LINES.min_elongation
-MIN_LENGTH_CELLS, MAX_OFFSET_CELLS = LINES.min_length_cells, LINES.max_offset_cells
+RADIUS, FALLBACK_RADIUS = 2, 1
+"""Neighbourhood whose hits determine the line of a cell, and the distance where there is no line, in cells."""
+SIMILAR_SECTORS = 3
+"""Number of sectors to each side whose hits are from the same side of a surface."""
+MIN_HITS, MIN_ELONGATION = 2.5, 4.0
+"""Minimum number of hits of a line, and minimum ratio of their variances along and across it."""
+MIN_LENGTH_CELLS, MAX_OFFSET_CELLS = 0.6, 1.5
+"""Minimum standard deviation of hits along a line, and maximum distance of a face without a line from the centre, in cells."""
 COS = np.cos(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 SIN = np.sin(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 
@@ -133,9 +137,7 @@ def local_lines(evidence: CellEvidence) -> tuple[Codes, Offsets]:
     angle = np.full((evidence.n_rows + 1, N_SECTORS), NO_LINE, dtype=np.uint8)
     offset = np.zeros((evidence.n_rows + 1, N_SECTORS), dtype=np.int8)
     own = evidence.moments[: evidence.n_faces]
-    similar = np.sum(
-        [np.roll(own, d, axis=1) for d in range(-LINES.similar_sectors, LINES.similar_sectors + 1)], axis=0
-    )
+    similar = np.sum([np.roll(own, d, axis=1) for d in range(-SIMILAR_SECTORS, SIMILAR_SECTORS + 1)], axis=0)
     fill_local_lines(
         evidence.window.places(),
         evidence.window.cell,

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
-from sensorgraph.models.cells.distribution import NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
+from sensorgraph.models.cells.distribution import KNOTS, NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
 from sensorgraph.models.cells.drawing import draw_readings
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.key_frames import KeyFrames, laser_poses
 from sensorgraph.models.cells.learning import is_set_aside, n_folds_of
-from sensorgraph.models.cells.probability_calibration import KNOTS
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, tabulate
 from sensorgraph.models.cells.set_aside import learn_visibility, summarise_poses
 from sensorgraph.models.cells.settings import CELLS
@@ -133,8 +132,8 @@ class CellModel:
         out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.reliability[which_of(point)])
         beyond = out[..., NO_RETURN] > 0.5
         out[..., NO_RETURN] *= self.nothing
-        answered = (unobserved <= CELLS.answers.max_unseen_length) & np.where(
-            beyond, out[..., NO_RETURN] > 0.5, near >= CELLS.answers.min_near_probability
+        answered = (unobserved <= CELLS.max_unseen_length) & np.where(
+            beyond, out[..., NO_RETURN] > 0.5, near >= 0.5
         )
         return to_prediction(out, point, answered)
 

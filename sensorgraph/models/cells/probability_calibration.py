@@ -10,20 +10,22 @@ from numpy.typing import NDArray
 
 from planners.kernel import kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
+from sensorgraph.models.cells.distribution import KNOT_WEIGHT, KNOTS, OUTLIER_DENSITY
 from sensorgraph.models.cells.evidence import MIN_RANGE
 from sensorgraph.models.cells.grid import max_cells_met, per_ray
 from sensorgraph.models.cells.learning import SetAside
 from sensorgraph.models.cells.ray_march import MAX_MERGED, CellTable, stop_candidates
 from sensorgraph.models.cells.settings import CELLS
-from sensorgraph.models.distribution import TAIL
+from sensorgraph.models.distribution import DENSITY_AT_0, TAIL
 from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
 from sensorgraph.types import Bools, Floats
 
-ANSWERS = CELLS.answers
-MIN_SPREAD = ANSWERS.min_spread
-DENSITY_AT_0 = 0.3989422804
-"""Standard normal density at 0."""
-OUTLIER_DENSITY, KNOTS = ANSWERS.outlier_density, np.array(ANSWERS.knots)
+MIN_SPREAD = 0.005
+"""[m] Smallest spread about a face, and of the place of a line."""
+EM_STEPS = 6
+"""Number of EM steps of the spread; later ones change it by less than 2 %."""
+N_INCIDENCES = 8
+"""Number of classes of the angle of incidence."""
 
 
 @kernel
@@ -84,13 +86,13 @@ def fit_spread(set_aside: Sequence[SetAside], tables: Sequence[CellTable]) -> tu
     Each fold of set-aside scans has a table of the other scans.
 
     M-step: a weighted least-squares line through the mean squared residual of each class of incidence, over the squared
-    tangent. The weights are those of variances, n_k / variance². Each class has a prior of `knot_weight` returns at the
+    tangent. The weights are those of variances, n_k / variance². Each class has a prior of `KNOT_WEIGHT` returns at the
     initial spread.
     """
-    prior, first = ANSWERS.knot_weight, ANSWERS.first_sigma
+    prior, first = KNOT_WEIGHT, CELLS.first_sigma
     spread = np.array([first, 0.5 * first, 1.01 * first])
-    for _ in range(ANSWERS.em_steps):
-        weights, squares, tangents = (np.zeros(ANSWERS.n_incidences + 1) for _ in range(3))
+    for _ in range(EM_STEPS):
+        weights, squares, tangents = (np.zeros(N_INCIDENCES + 1) for _ in range(3))
         for (poses, ranges, bearings), table in zip(set_aside, tables, strict=True):
             now = table._replace(sigma=float(spread[0]), across=float(spread[1]), rough=float(spread[2]))
             add_squares(per_ray(poses), ranges, bearings, now, weights, squares, tangents)
@@ -111,7 +113,7 @@ def fit_spread(set_aside: Sequence[SetAside], tables: Sequence[CellTable]) -> tu
 def calibrate_p_off(summaries: NDArray[np.float64], ranges: Floats, scored: Bools) -> Floats:
     """Fit the observed probability of being off to the predicted one; return (3, n_knots), for each of `POINTS`.
 
-    A function that is linear between `KNOTS` minimises sum_i (off_i - value(predicted_i))² + ridge sum_k (value_k -
+    A function that is linear between `KNOTS` minimises sum_i (off_i - value(predicted_i))² + KNOT_WEIGHT sum_k (value_k -
     KNOTS_k)². It is clipped to [0, 1] and made monotonic. With few data it stays close to the prediction.
     """
     columns = {"mode": MODE, "median": MEDIAN, "mean": MEAN}
@@ -124,7 +126,7 @@ def calibrate_p_off(summaries: NDArray[np.float64], ranges: Floats, scored: Bool
         hat = np.zeros((len(predicted), len(KNOTS)))
         hat[np.arange(len(predicted)), left] = 1.0 - share
         hat[np.arange(len(predicted)), left + 1] = share
-        ridge = ANSWERS.knot_weight
-        value = np.linalg.solve(hat.T @ hat + ridge * np.eye(len(KNOTS)), hat.T @ off + ridge * KNOTS)
+        normal = hat.T @ hat + KNOT_WEIGHT * np.eye(len(KNOTS))
+        value = np.linalg.solve(normal, hat.T @ off + KNOT_WEIGHT * KNOTS)
         out[k] = np.maximum.accumulate(np.clip(value, 0.0, 1.0))
     return out

@@ -26,17 +26,18 @@ from sensorgraph.models.cells.grid import (
     traverse,
 )
 from sensorgraph.models.cells.local_lines import COS, NO_LINE, OFFSET_STEP, SIN, Codes, Offsets, local_lines
-from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import logits
 from sensorgraph.models.mixture import summarise
 from sensorgraph.types import Floats
 
-MARCH = CELLS.march
-MIN_SINE, MIN_SURVIVAL, MAX_MERGED = MARCH.min_sine, MARCH.min_survival, MARCH.max_merged
-RATES = np.concatenate([[0.0], np.geomspace(*MARCH.rates, MARCH.n_rates)])
-"""[1/m] Rate of stops for each code."""
-
-
+MIN_SINE = 0.17
+"""Sine of the angle between ray and line below which the line does not determine the range."""
+MIN_SURVIVAL = 1e-4
+"""Survival probability below which a ray is not followed further."""
+MAX_MERGED = 1e-3
+"""Probability of a stop below which neighbouring cells are one candidate; in free space, some 0.5 m."""
+RATES = np.concatenate([[0.0], np.geomspace(2e-3, 200.0, 127)])
+"""[1/m] Rate of stops for each code, in steps of 10 %: none, and from one in 500 m to one in 5 mm."""
 MAX_SERIES = 1e-3
 """Largest x at which three terms of the series of 1 - exp(-x) suffice; the relative error is below 1e-10."""
 
@@ -73,8 +74,7 @@ def tabulate(
     beta: Floats | None,
     spread: tuple[float, float, float],
     *,
-    margin: int = 2,
-    chance: float = MARCH.default_probability,
+    chance: float = 0.2,
 ) -> CellTable:
     """Compute the lookup table from (widened) evidence and the coefficients of the visibility polynomial.
 

@@ -1,4 +1,4 @@
-"""What the scans that a log sets aside tell of a model of cells: visibility, spread, calibration and tails."""
+"""Visibility, spread, calibration and tails of a model of cells, from the scans that a log sets aside."""
 
 from __future__ import annotations
 
@@ -10,22 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensorgraph.models.base import POINTS, Point
-from sensorgraph.models.cells.distribution import NORMAL_TAILS, fit_tails
+from sensorgraph.models.cells.distribution import KNOTS, NORMAL_TAILS, fit_tails
 from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.learning import (
+    MAX_PASSED_SAMPLES,
     SetAside,
     fit_logistic,
     is_set_aside,
     n_folds_of,
     training_samples,
 )
-from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
+from sensorgraph.models.cells.probability_calibration import calibrate_p_off, fit_spread
 from sensorgraph.models.cells.ray_march import CellTable, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.mixture import which_of
 from sensorgraph.types import Floats, Progress
+
+NEWTON_STEPS = 4
+"""Number of Newton steps, starting from the shipped polynomial."""
 
 
 @cache
@@ -47,7 +51,7 @@ def learn_visibility(
 ) -> tuple[Floats, tuple[float, float, float], Floats, Floats]:
     """Learn beta (n_terms,), the spread [m], the calibration (3, n_knots) and the tails (3,) on stretches set aside."""
     beta = np.array(shipped_visibility())
-    first = CELLS.answers.first_sigma, 0.0, CELLS.answers.first_sigma
+    first = CELLS.first_sigma, 0.0, CELLS.first_sigma
     folds = []
     for fold in range(n_folds_of(len(poses))):
         aside = is_set_aside(len(poses), fold)
@@ -56,13 +60,13 @@ def learn_visibility(
     if not folds:
         return beta, first, np.tile(KNOTS, (len(POINTS), 1)), NORMAL_TAILS
     report(1, 5)
-    most = CELLS.learning.max_passed_samples // len(folds)
+    most = MAX_PASSED_SAMPLES // len(folds)
     samples = [
         training_samples(evidence, *scans, tabulate(evidence, beta, first), most) for evidence, scans in folds
     ]
     report(2, 5)
     phi, label, weight = (np.concatenate(parts) for parts in zip(*samples, strict=True))
-    beta = fit_logistic(phi, label, weight, beta, beta, steps=CELLS.learning.newton_steps)
+    beta = fit_logistic(phi, label, weight, beta, beta, steps=NEWTON_STEPS)
     report(3, 5)
     tables = [tabulate(evidence, beta, first) for evidence, _ in folds]
     set_aside = [scans for _, scans in folds]

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from planners.kernel import kernel
 from sensorgraph.models.cells.evidence import CellEvidence, Counts
 from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
-from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.types import Floats
 
 Floats32 = NDArray[np.float32]
@@ -53,10 +52,15 @@ NEIGHBOUR_PRODUCTS = (
 )  # fmt: skip
 PRODUCT_PARTNERS = ("Hs", "Is", "Qs", "L")
 N_FEATURES = len(FEATURES)
-VISIBILITY = CELLS.features
-COUNT_SCALE, BOX_SCALE = VISIBILITY.count_scale, VISIBILITY.box_scale
-INTERPOLATED, OTHER = VISIBILITY.interpolated_weight, VISIBILITY.other_weight
-PRIOR_HITS, PRIOR_PASSES = VISIBILITY.prior_hits, VISIBILITY.prior_passes
+# the numbers below define the features, for which the shipped coefficients were learned
+NEIGHBOUR_STEP = 1.2
+"""Distance between neighbours along and across a ray, in cells; above 1 so that diagonal neighbours differ."""
+COUNT_SCALE, BOX_SCALE = 3.0, 5.0
+"""Scale of counts n in log(1 + scale n), for one cell and for hits within 5 x 5 cells."""
+INTERPOLATED, OTHER = 0.5, 0.3
+"""Weight of an interpolated hit relative to a hit, and of a count in another direction relative to one in a similar one."""
+PRIOR_HITS, PRIOR_PASSES = 0.05, 0.25
+"""Prior numbers of hits and passes in the log ratio of both."""
 BOX_CELLS, SURROUNDING_CELLS = 5 * 5, 11 * 11
 
 _COLUMN = {name: k for k, name in enumerate(FEATURES)}
@@ -74,7 +78,7 @@ def neighbour_offsets(b: int) -> CellIndices:
     angle = b * 2 * np.pi / N_SECTORS
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     return np.array(
-        [np.round(VISIBILITY.neighbour_step * (a * along + side * across)) for a, side in _NEIGHBOURS]
+        [np.round(NEIGHBOUR_STEP * (a * along + side * across)) for a, side in _NEIGHBOURS]
     ).astype(np.int64)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from logs.run import RangeSensor
 from planners.groups import members
+from sensorgraph.models.cones.kernels import END_BLUR
 from sensorgraph.models.cones.readings import ConeReadings
 from sensorgraph.models.cones.refine import Refiner
 from sensorgraph.models.cones.search import search
@@ -17,12 +18,16 @@ from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
 from sensorgraph.models.faces.settings import FACES
-from sensorgraph.models.faces.visibility import ReturnNoise
+from sensorgraph.models.faces.visibility import FIT_SIGMAS, PRIOR_CROSSINGS, PRIOR_STOPS, ReturnNoise
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Progress
 
 logger = logging.getLogger(__name__)
 
+MAX_READINGS = 100_000
+"""Maximum number of readings used by the fit; of more readings, every n-th is used."""
+ROUNDS = 3
+"""Rounds of searching among unexplained readings and refining all stretches."""
 READINGS_AT_A_TIME = 1 << 17
 """Number of readings whose cones are sampled with rays at a time."""
 
@@ -55,12 +60,12 @@ def readings_of_cones(sample: RaySample, sensor: RangeSensor, mount: Floats) -> 
 def fit_cones(readings: ConeReadings, *, progress: Progress | None = None) -> FittedCones:
     """Fit faces to readings of cones."""
     observed = observed_by_cones(readings)
-    step = -(-len(readings) // CONES.max_readings)
+    step = -(-len(readings) // MAX_READINGS)
     readings = readings.take(slice(None, None, step + 1 - step % 2)) if step > 1 else readings
-    sigma = CONES.first_sigma
+    sigma = FACES.first_sigma
     work = Refiner(readings, [], sigma)
-    n_stages = 2 * CONES.rounds + 1
-    for i in range(CONES.rounds):
+    n_stages = 2 * ROUNDS + 1
+    for i in range(ROUNDS):
         found = search(readings, ~work.is_explained(), sigma, progress=_part(progress, 2 * i, n_stages))
         work = Refiner(readings, work.stretches + found, sigma)
         work.sweep(_part(progress, 2 * i + 1, n_stages))
@@ -83,8 +88,8 @@ def _sigma(readings: ConeReadings, nearest: Floats) -> float:
     """Estimate the noise [m] of the readings that a stretch explains, from the median absolute deviation."""
     with np.errstate(invalid="ignore"):
         e = np.abs(readings.ranges - nearest)
-    e = e[np.isfinite(e) & (e < CONES.fit_sigmas * CONES.max_sigma)]
-    return float(np.clip(robust_sigma(e), 1e-4, CONES.max_sigma)) if len(e) else CONES.first_sigma
+    e = e[np.isfinite(e) & (e < FIT_SIGMAS * CONES.max_sigma)]
+    return float(np.clip(robust_sigma(e), 1e-4, CONES.max_sigma)) if len(e) else FACES.first_sigma
 
 
 def _to_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[FaceSet, ReturnNoise, Floats]:
@@ -94,12 +99,11 @@ def _to_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[Face
     owner = work.ranges.argmin(axis=0) if n else np.zeros(len(readings), dtype=np.intp)
     is_there = np.isfinite(nearest)
     e = np.where(is_there, readings.reach - np.where(is_there, nearest, 0.0), -np.inf)
-    tolerance = CONES.fit_sigmas * sigma
+    tolerance = FIT_SIGMAS * sigma
     hit, passed = (np.abs(e) <= tolerance) & readings.returned, e > tolerance
     hits = np.bincount(owner[hit], minlength=n).astype(np.float64)
     passes = np.bincount(owner[passed & is_there], minlength=n)
-    prior = FACES.expectation
-    levels = (hits + prior.prior_stops) / (hits + passes + prior.prior_crossings)
+    levels = (hits + PRIOR_STOPS) / (hits + passes + PRIOR_CROSSINGS)
     order = np.argsort(-hits, kind="stable")
     lines = np.array(work.stretches, dtype=np.float64).reshape(n, 4)[order]
     edges = lines[:, 2:].ravel()
@@ -109,7 +113,7 @@ def _to_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[Face
         first=2 * np.arange(n + 1, dtype=np.intp),
         edges=edges,
         levels=np.stack([levels[order], np.zeros(n)], axis=1).ravel(),
-        blur=np.full(2 * n, CONES.end_blur),
+        blur=np.full(2 * n, END_BLUR),
         neighbour=np.full(2 * n, -1, dtype=np.intp),
     )
     stray = int((readings.returned & ~hit).sum()) / max(float(readings.reach.sum()), 1e-9)
@@ -122,7 +126,7 @@ def observed_by_cones(readings: ConeReadings) -> ObservedSpace:
     for start in range(0, len(readings), READINGS_AT_A_TIME):
         some = readings.take(slice(start, start + READINGS_AT_A_TIME))
         reach = some.reach
-        n_rays = 1 + np.ceil(2 * some.halves * reach / FACES.prediction.observed_cell).astype(np.intp)
+        n_rays = 1 + np.ceil(2 * some.halves * reach / FACES.observed_cell).astype(np.intp)
         owner, rank = members(n_rays)
         turn = some.halves[owner] * (2 * rank / np.maximum(n_rays[owner] - 1, 1) - 1)
         ux, uy = some.directions[owner].T

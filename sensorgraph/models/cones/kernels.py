@@ -17,14 +17,16 @@ from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.cones.settings import CONES
 from sensorgraph.models.distribution import SQRT_HALF
 from sensorgraph.models.faces.observed_space import is_ray_observed
-from sensorgraph.models.faces.settings import FACES
+from sensorgraph.models.faces.prediction import MIN_SHARE, SUPPORT_MARGIN
+from sensorgraph.models.faces.visibility import MIN_COSINE
 from sensorgraph.models.mixture import summarise
 
-MIN_COSINE = CONES.min_cosine
 GRAZING = math.sqrt(1.0 - MIN_COSINE**2) / MIN_COSINE
 """Largest offset s of a cone's edge on a line, in units of h; the line is invisible beyond."""
-MAX_CANDIDATES, END_BLUR, EDGE_BLUR = CONES.max_candidates, CONES.end_blur, CONES.edge_blur
-MIN_SHARE, SUPPORT_MARGIN = FACES.prediction.min_share, FACES.prediction.support_margin
+MAX_CANDIDATES = 16
+"""Maximum number of stretches considered in one cone."""
+END_BLUR, EDGE_BLUR = 0.004, CONES.edge_blur
+"""Standard errors of the end of a stretch [m], with which the search for it ends, and of the edge of a cone [rad]."""
 BACK_SLOT = MAX_CANDIDATES + 1
 """Index in the list of ranges of the point where the axis meets a face from behind."""
 MAX_BLURS = 3.0

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from sensorgraph.models.cones.kernels import predict_cones
-from sensorgraph.models.cones.settings import CONES
 from sensorgraph.models.faces.data import FacesData
 from sensorgraph.models.faces.equations import sum_text
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
+from sensorgraph.models.faces.visibility import MIN_COSINE
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -65,7 +65,7 @@ def cone_equations(model: FacesData, start: Floats, ray: int) -> list[str]:
         "a: angle of the axis against the perpendicular (in -pi to pi)",
         f"    r_k = sqrt(h^2 + v^2), v = the value nearest 0 that lies in [-h tan(a + {half:.5f}), -h tan(a - {half:.5f})] "
         "and in [low - f, high - f]",
-        f"    where both overlap and h > 0; the angles of the tangents are limited to {math.degrees(math.acos(CONES.min_cosine)):.1f}°",
+        f"    where both overlap and h > 0; the angles of the tangents are limited to {math.degrees(math.acos(MIN_COSINE)):.1f}°",
         "v = 0 and r_k = h if the foot is in the cone and on the face; otherwise v is at an edge of the cone or end of the face",
     ]
     mx, my, yaw = map(float, start)

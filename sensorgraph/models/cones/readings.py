@@ -9,6 +9,8 @@ import numpy as np
 
 from sensorgraph.models.cones.kernels import ranges_to_stretch
 from sensorgraph.models.cones.settings import CONES
+from sensorgraph.models.faces.settings import FACES
+from sensorgraph.models.faces.visibility import FIT_SIGMAS
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -89,14 +91,14 @@ class ConeReadings:
 
         Parameters
         ----------
-        sigma : [m] Noise of the readings; residuals above `fit_sigmas` are not used.
+        sigma : [m] Noise of the readings; residuals above `FIT_SIGMAS` are not used.
         with_ends : Also fit the ends, to the readings whose nearest point is an end.
         """
         r, t = self.to(stretch)
         cos, sin = np.cos(stretch.angle), np.sin(stretch.angle)
         with np.errstate(invalid="ignore"):
             e = self.ranges - r
-            near = np.isfinite(e) & (np.abs(e) < CONES.fit_sigmas * sigma)
+            near = np.isfinite(e) & (np.abs(e) < FIT_SIGMAS * sigma)
         if near.sum() < 3:
             return stretch
         e, r, t, origins = e[near], r[near], t[near], self.origins[near]
@@ -121,7 +123,7 @@ class ConeReadings:
         )  # (4, n)
         if not with_ends:
             slopes = slopes[:2]
-        prior = sigma / np.array([CONES.turn_prior, CONES.shift_prior, CONES.shift_prior, CONES.shift_prior])
+        prior = sigma / np.array([FACES.turn_prior, *3 * [CONES.shift_prior]])
         step = np.zeros(4)
         step[: len(slopes)] = np.linalg.solve(
             slopes @ slopes.T + np.diag(prior[: len(slopes)] ** 2), slopes @ e
@@ -140,6 +142,6 @@ ON_END = 1e-9
 
 
 def loss(ranges: Floats, predicted: Floats, sigma: float, range_max: float) -> Floats:
-    """Return ½ min(e² / sigma², fit_sigmas²): the negative log likelihood [nats] of readings (n,) given ranges (n,)."""
+    """Return ½ min(e² / sigma², FIT_SIGMAS²): the negative log likelihood [nats] of readings (n,) given ranges (n,)."""
     e = (np.minimum(ranges, range_max) - np.minimum(predicted, range_max)) / sigma
-    return 0.5 * np.minimum(e * e, CONES.fit_sigmas**2)
+    return 0.5 * np.minimum(e * e, FIT_SIGMAS**2)

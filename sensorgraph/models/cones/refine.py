@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from sensorgraph.models.cones.kernels import END_BLUR
 from sensorgraph.models.cones.readings import ConeReadings, Stretch, loss
 from sensorgraph.models.cones.settings import CONES
+from sensorgraph.models.faces.visibility import FIT_SIGMAS
 from sensorgraph.types import Bools, Floats, Ints, Progress
+
+END_SEARCH = 0.16
+"""[m] Half width of the search for an end, which ends with a step of its standard error."""
 
 
 class Refiner:
@@ -31,7 +36,7 @@ class Refiner:
         nearest, measured = self.nearest(), self.readings.ranges
         both = np.isfinite(nearest) & np.isfinite(measured)
         e = np.where(both, measured, 0.0) - np.where(both, nearest, 0.0)
-        return np.asarray(both & (np.abs(e) < CONES.fit_sigmas * self.sigma))
+        return np.asarray(both & (np.abs(e) < FIT_SIGMAS * self.sigma))
 
     def sweep(self, progress: Progress | None = None) -> None:
         """Refine each stretch given the others, and remove stretches with too little gain."""
@@ -51,7 +56,7 @@ class Refiner:
 
     def _refined(self, k: int) -> Stretch | None:
         """Return the refined stretch k; None if the readings are as likely without it."""
-        stretch, reach = self.stretches[k], CONES.end_search
+        stretch, reach = self.stretches[k], END_SEARCH
         widest = stretch._replace(low=stretch.low - reach, high=stretch.high + reach)
         there = np.flatnonzero(np.isfinite(self.readings.to(widest)[0]))
         some = self.readings.take(there)
@@ -79,21 +84,21 @@ class Refiner:
     def _search_ends(self, stretch: Stretch, some: ConeReadings, others: Floats) -> Stretch:
         """Move each end to the maximum of the likelihood, by search with a decreasing step."""
         for end in ("low", "high"):
-            step = CONES.end_search / 2
+            step = END_SEARCH / 2
             sign = 1 if end == "high" else -1
             at = float(getattr(stretch, end))
             shortest, longest = (
                 some.to(stretch._replace(**{end: at + sign * reach}))[0]
-                for reach in (-CONES.end_search, CONES.end_search)
+                for reach in (-END_SEARCH, END_SEARCH)
             )
             depends = shortest != longest
             mine, rest = some.take(depends), others[depends]
-            while step > CONES.end_step / 2:
+            while step > END_BLUR / 2:
                 places = at + step * np.array([0.0, -2.0, -1.0, 1.0, 2.0])
                 places = (
-                    places[places < stretch.high - CONES.end_step]
+                    places[places < stretch.high - END_BLUR]
                     if end == "low"
-                    else places[places > stretch.low + CONES.end_step]
+                    else places[places > stretch.low + END_BLUR]
                 )
                 costs = [
                     self._loss(mine, np.minimum(mine.to(stretch._replace(**{end: float(p)}))[0], rest))

@@ -14,9 +14,23 @@ from planners.groups import members
 from sensorgraph.models.cones.kernels import count_along_line
 from sensorgraph.models.cones.readings import ConeReadings, Stretch
 from sensorgraph.models.cones.settings import CONES
+from sensorgraph.models.faces.forward_selection import OFFSET_BIN
+from sensorgraph.models.faces.visibility import FIT_SIGMAS
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
 UNBOUNDED = (-1e9, 1e9)
+N_ANGLES = 720
+"""Number of normal angles over the full circle in the Hough transform."""
+BIN = 0.04
+"""[m] Size of the bins along a line in which readings that end there and that pass are counted."""
+FIRST_BAND = 0.06
+"""[m] Initial half width of the band about a peak's line whose readings are used for the fit."""
+PASS_MARGIN = 0.01
+"""[m] Distance, in addition to `FIT_SIGMAS`, by which a reading must be longer to pass a stretch."""
+MIN_HIT_RATIO = 0.25
+"""Minimum ratio of readings that end in a bin to readings that pass it, for the bin to be occupied."""
+MAX_FAILURES, MAX_STRETCHES = 40, 600
+"""Number of successive peaks without a new stretch after which a search ends, and largest number of stretches."""
 
 
 class TangentVotes:
@@ -26,22 +40,22 @@ class TangentVotes:
         """Collect the votes of the readings with these indices."""
         self.centre = 0.5 * (readings.origins.min(axis=0) + readings.origins.max(axis=0))
         self.radius = float(np.hypot(*(readings.origins - self.centre).T).max()) + readings.range_max
-        self.n_offsets = int(2 * self.radius / CONES.offset_bin) + 2
-        step = 2 * np.pi / CONES.n_angles
+        self.n_offsets = int(2 * self.radius / OFFSET_BIN) + 2
+        step = 2 * np.pi / N_ANGLES
         some = readings.take(voters)
         backward = np.arctan2(-some.directions[:, 1], -some.directions[:, 0])
         home = np.rint(backward / step).astype(np.intp)
-        angles = step * np.arange(CONES.n_angles)
+        angles = step * np.arange(N_ANGLES)
         cos, sin = np.cos(angles), np.sin(angles)
         width = int(np.ceil(some.halves.max(initial=0.0) / step))
         bins, owners = [], []
         for k in range(-width, width + 1):
             off = step * (home + k) - backward
             inside = np.flatnonzero(np.abs(off) <= np.maximum(some.halves, 0.5 * step))
-            a = (home[inside] + k) % CONES.n_angles
+            a = (home[inside] + k) % N_ANGLES
             x, y = (some.origins[inside] - self.centre).T
             d = x * cos[a] + y * sin[a] - some.ranges[inside]
-            bins.append(a * self.n_offsets + np.floor((d + self.radius) / CONES.offset_bin).astype(np.intp))
+            bins.append(a * self.n_offsets + np.floor((d + self.radius) / OFFSET_BIN).astype(np.intp))
             owners.append(inside)
         bin_of, owner = np.concatenate(bins), np.concatenate(owners)
         order = np.argsort(owner, kind="stable")
@@ -49,18 +63,18 @@ class TangentVotes:
         self._first = np.searchsorted(owner[order], np.arange(len(voters) + 1))
         self._rank = np.full(len(readings), -1, dtype=np.intp)
         self._rank[voters] = np.arange(len(voters))
-        self.counts = np.bincount(self._bins, minlength=CONES.n_angles * self.n_offsets)
+        self.counts = np.bincount(self._bins, minlength=N_ANGLES * self.n_offsets)
 
     def peak(self) -> tuple[int, Stretch]:
         """Return the number of votes of the line with most votes, and the line; its votes are set to 0."""
         at = int(self.counts.argmax())
         votes = int(self.counts[at])
         a, j = divmod(at, self.n_offsets)
-        angle = 2 * np.pi * a / CONES.n_angles
-        offset = (j + 0.5) * CONES.offset_bin - self.radius
+        angle = 2 * np.pi * a / N_ANGLES
+        offset = (j + 0.5) * OFFSET_BIN - self.radius
         offset += float(self.centre @ [np.cos(angle), np.sin(angle)])
-        near = [(a + k) % CONES.n_angles for k in (-1, 0, 1)]
-        self.counts.reshape(CONES.n_angles, -1)[near, max(j - 1, 0) : j + 2] = 0
+        near = [(a + k) % N_ANGLES for k in (-1, 0, 1)]
+        self.counts.reshape(N_ANGLES, -1)[near, max(j - 1, 0) : j + 2] = 0
         return votes, Stretch(angle, offset, *UNBOUNDED)
 
     def withdraw(self, readings: Ints) -> None:
@@ -83,7 +97,7 @@ def search(
         return found
     votes = TangentVotes(readings, np.flatnonzero(unexplained))
     failures = 0
-    while failures < CONES.max_failures and len(found) < CONES.max_stretches:
+    while failures < MAX_FAILURES and len(found) < MAX_STRETCHES:
         count, line = votes.peak()
         if count < CONES.min_hits:
             break
@@ -92,7 +106,7 @@ def search(
         for stretch in _visible_stretches(readings, line, unexplained, sigma):
             r, _ = readings.to(stretch)
             with np.errstate(invalid="ignore"):
-                explained = unexplained & (np.abs(readings.ranges - r) < CONES.fit_sigmas * sigma)
+                explained = unexplained & (np.abs(readings.ranges - r) < FIT_SIGMAS * sigma)
             if explained.sum() < CONES.min_hits:
                 continue
             found.append(stretch)
@@ -107,7 +121,7 @@ def search(
 def _line_of_peak(unexplained: ConeReadings, line: Stretch, sigma: float) -> Stretch:
     """Fit the line of a peak to the unexplained readings near it, in a band of decreasing width."""
     for share in (1.0, 0.5, 0.25, 0.0, 0.0):
-        line = unexplained.refit(line, max(sigma, share * CONES.first_band / CONES.fit_sigmas))
+        line = unexplained.refit(line, max(sigma, share * FIRST_BAND / FIT_SIGMAS))
     return line
 
 
@@ -115,7 +129,7 @@ def _visible_stretches(
     readings: ConeReadings, line: Stretch, unexplained: Bools, sigma: float
 ) -> list[Stretch]:
     """Return the stretches of a line on which readings end and that few readings pass."""
-    size, tolerance = CONES.bin, CONES.fit_sigmas * sigma
+    size, tolerance = BIN, FIT_SIGMAS * sigma
     r, t = readings.to(line)
     with np.errstate(invalid="ignore"):
         mine = unexplained & (np.abs(readings.ranges - r) < tolerance)
@@ -127,10 +141,10 @@ def _visible_stretches(
     count_along_line(
         readings.origins, readings.directions, readings.halves, readings.ranges, readings.reach, unexplained,
         float(np.cos(line.angle)), float(np.sin(line.angle)), line.offset, tolerance,
-        tolerance + CONES.pass_margin, start, size, hits, new_hits, passes,
+        tolerance + PASS_MARGIN, start, size, hits, new_hits, passes,
     )  # fmt: skip
     passed = np.cumsum(passes)[:n]
-    occupied = np.flatnonzero((hits > CONES.min_hit_ratio * passed) & (new_hits > 0))
+    occupied = np.flatnonzero((hits > MIN_HIT_RATIO * passed) & (new_hits > 0))
     out: list[Stretch] = []
     for run in _joined_bins(occupied, hits, passed):
         if new_hits[run].sum() >= CONES.min_hits:
@@ -145,7 +159,7 @@ def _joined_bins(occupied: Ints, hits: Floats, passed: Floats) -> list[slice]:
         if runs:
             gap = slice(runs[-1].stop, i)
             is_open = (passed[gap] > np.maximum(2.0, 0.5 * hits[gap])).any()
-            if not is_open and (i - runs[-1].stop) * CONES.bin <= CONES.max_gap:
+            if not is_open and (i - runs[-1].stop) * BIN <= CONES.max_gap:
                 runs[-1] = slice(runs[-1].start, i + 1)
                 continue
         runs.append(slice(i, i + 1))

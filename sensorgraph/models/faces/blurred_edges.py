@@ -19,13 +19,19 @@ import numpy as np
 
 from planners.array_kernels import make_heap, pop_least
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.models.faces.settings import FACES
+from sensorgraph.models.faces.ray_march import MIN_VISIBILITY
+from sensorgraph.models.faces.visibility import FIT_SIGMAS, PRIOR_CROSSINGS, PRIOR_STOPS
 
-EDGES = FACES.edges
-LEVEL_PASSES, SEARCH_ROUNDS, SEARCH_HALF = EDGES.level_passes, EDGES.search_rounds, EDGES.search_half
-MAX_ERRORS, WINDOW = EDGES.max_step_errors, EDGES.window_errors
-MIN_CHANCE = EDGES.min_visibility
-PRIOR_STOPS, PRIOR_CROSSINGS = FACES.expectation.prior_stops, FACES.expectation.prior_crossings
+LEVEL_PASSES = 6
+"""EM iterations of the visibility of stretches."""
+SEARCH_ROUNDS, SEARCH_HALF = 4, 4
+"""Number of searches for an edge's position, each on a finer grid, and positions on each side of the best one."""
+WINDOW = FIT_SIGMAS
+"""Distance from an edge within which a crossing may belong to either side, in standard errors."""
+MAX_ERRORS = 2 * WINDOW
+"""Maximum width of a stretch that may be the blur of one edge, in standard errors of a crossing: both its windows."""
+MIN_CHANCE = MIN_VISIBILITY
+"""Lower limit of probabilities in a log likelihood."""
 MIN_ERROR = 1e-7
 """[m] Standard error below which the position of a crossing is exact."""
 POOL_WIDTH, POOL_RATIO = 0.25, 1.25

@@ -17,6 +17,8 @@ from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet, bucket_g
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
     MIN_SQUARED_COSINE,
+    PRIOR_CROSSINGS,
+    PRIOR_STOPS,
     Rays,
     ReturnNoise,
     new_stop_work,
@@ -24,8 +26,12 @@ from sensorgraph.models.faces.visibility import (
 )
 from sensorgraph.types import Bools, Floats, Ints
 
-MAX_RUNS, MAX_STRAY, MIN_REACHED = FACES.edges.max_runs, FACES.edges.max_stray, FACES.edges.min_reached
-PRIOR_STOPS, PRIOR_CROSSINGS = FACES.expectation.prior_stops, FACES.expectation.prior_crossings
+MAX_RUNS = 600
+"""Maximum number of runs of equal outcome in one stretch."""
+MIN_REACHED = 0.2
+"""Probability of reaching a crossing below which it is not counted."""
+MIN_LEVEL = 5 * MIN_VISIBILITY
+"""Visibility below which a stretch is set to 0."""
 
 
 class Crossings(NamedTuple):
@@ -164,7 +170,7 @@ def _list_crossings(
     count = 0
     for i in range(len(rays.ranges)):
         n, _, stray = stop_probabilities(i, rays, faces, buckets, noise, work)
-        if stray > MAX_STRAY:
+        if stray > 0.5:
             continue
         for m in range(n):
             if survive[m] < MIN_REACHED:
@@ -189,7 +195,7 @@ def _stretches(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[
     """Partition sorted crossings; return edges, visibility after each (the last is 0) and standard errors."""
     if len(t) == 0:
         return np.array([0.0, 1e-9]), np.zeros(2), np.zeros(2)
-    penalty = FACES.edges.min_gain + 0.5 * np.log(len(t))
+    penalty = FACES.min_edge_gain + 0.5 * np.log(len(t))
     cuts = _without_weak_cuts(_partition(stop, weight, penalty), stop, weight, penalty)
     stopped, crossed = np.add.reduceat(stop * weight, cuts[:-1]), np.add.reduceat(weight, cuts[:-1])
     level = (stopped + PRIOR_STOPS) / (crossed + PRIOR_CROSSINGS)
@@ -199,7 +205,7 @@ def _stretches(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[
     level = np.append(level, 0.0)
     if len(inner) and error.any():
         edges, level, gap = blur_edges(t, stop, weight, error, edges, level, gap, penalty)
-    level[level < MIN_VISIBILITY * FACES.edges.visibility_factor] = 0.0
+    level[level < MIN_LEVEL] = 0.0
     return edges + 1e-9 * np.arange(len(edges)), level, gap
 
 

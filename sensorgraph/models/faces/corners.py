@@ -5,13 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from sensorgraph.models.faces.blurred_edges import MIN_ERROR
+from sensorgraph.models.faces.blurred_edges import MIN_CHANCE, MIN_ERROR, WINDOW
 from sensorgraph.models.faces.change_points import Crossings
-from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
+from sensorgraph.models.faces.ray_march import MIN_LENGTH, MIN_VISIBILITY, FaceSet
 from sensorgraph.models.faces.settings import FACES
+from sensorgraph.models.faces.visibility import FAINT, MIN_COSINE
 from sensorgraph.types import Bools, Floats, Ints
 
-EDGES = FACES.edges
+NEAR = FACES.corner_distance
+MAX_LOSS = 6.0
+"""[nats] Maximum loss of log likelihood for a corner: one or two crossings on the wrong side."""
+MIN_SINE = MIN_COSINE
+"""Minimum sine of the angle between two lines that meet in a corner."""
 
 
 def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
@@ -25,10 +30,10 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
     ends, owners = _ends(faces)
     places = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * edges[ends, None]
     for e, k, p in zip(ends, owners, places, strict=True):
-        best = (EDGES.max_loss, -1, 0.0)
+        best = (MAX_LOSS, -1, 0.0)
         for other, s in _intersections(faces, k, p):
             cost = _loss(faces, e, k, s, *crossings.at(k))
-            cost += 0.5 * ((s - edges[e]) / EDGES.corner_distance) ** 2
+            cost += 0.5 * ((s - edges[e]) / NEAR) ** 2
             if cost < best[0]:
                 best = (cost, other, s)
         if best[1] >= 0:
@@ -39,7 +44,7 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
 
 def has_length(faces: FaceSet) -> Bools:
     """Return a mask (n_faces,) of the faces with a visible stretch of some length; corners may take all of a face."""
-    stretches = (faces.levels[:-1] > MIN_VISIBILITY) & (np.diff(faces.edges) > EDGES.min_length)
+    stretches = (faces.levels[:-1] > MIN_VISIBILITY) & (np.diff(faces.edges) > MIN_LENGTH)
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))[:-1]
     return np.bincount(owner[stretches], minlength=faces.n_faces) > 0
 
@@ -50,10 +55,7 @@ def _ends(faces: FaceSet) -> tuple[Ints, Ints]:
     after = faces.levels
     before = np.concatenate([[0.0], faces.levels[:-1]])
     before[faces.first[:-1]] = 0.0
-    at = np.flatnonzero(
-        (np.minimum(before, after) < EDGES.outside_visibility)
-        & (np.maximum(before, after) > EDGES.inside_visibility)
-    )
+    at = np.flatnonzero((np.minimum(before, after) < FAINT) & (np.maximum(before, after) > 0.5))
     return at, owner[at]
 
 
@@ -62,20 +64,14 @@ def _intersections(faces: FaceSet, k: int, p: Floats) -> list[tuple[int, float]]
     cross = faces.normals @ faces.tangents[k]
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = (faces.offsets - faces.normals @ p) / cross  # along t_k from p
-    near = np.flatnonzero((np.abs(cross) > EDGES.min_sine) & (np.abs(ahead) < EDGES.corner_distance))
+    near = np.flatnonzero((np.abs(cross) > MIN_SINE) & (np.abs(ahead) < NEAR))
     out = []
     for m in near:
         meet = p + ahead[m] * faces.tangents[k]
         s = float(faces.tangents[m] @ meet)
         a, b = int(faces.first[m]), int(faces.first[m + 1]) - 1
-        seen = np.flatnonzero(faces.levels[a:b] > EDGES.inside_visibility) + a
-        if (
-            len(seen)
-            and (
-                (faces.edges[seen] - EDGES.corner_distance <= s)
-                & (s <= faces.edges[seen + 1] + EDGES.corner_distance)
-            ).any()
-        ):
+        seen = np.flatnonzero(faces.levels[a:b] > 0.5) + a
+        if len(seen) and ((faces.edges[seen] - NEAR <= s) & (s <= faces.edges[seen + 1] + NEAR)).any():
             out.append((int(m), float(faces.tangents[k] @ meet)))
     return out
 
@@ -85,7 +81,7 @@ def _loss(
 ) -> float:
     """Return the log likelihood [nats] lost by moving edge e of face k to abscissa s; pose noise blurs edges."""
     old = faces.edges[e]
-    margin = EDGES.window_errors * _median_error(t, error, old)
+    margin = WINDOW * _median_error(t, error, old)
     a, b = np.searchsorted(t, [min(old, s) - margin, max(old, s) + margin])
     after = faces.levels[e]
     before = faces.levels[e - 1] if e > faces.first[k] else 0.0
@@ -93,8 +89,8 @@ def _loss(
     before_move, after_move = (
         np.clip(
             before + (after - before) * ndtr((t[a:b] - place) / tau),
-            EDGES.min_visibility,
-            1 - EDGES.min_visibility,
+            MIN_CHANCE,
+            1 - MIN_CHANCE,
         )
         for place in (old, s)
     )
@@ -126,7 +122,7 @@ def _without_empty_stretches(faces: FaceSet) -> FaceSet:
     """Merge both edges of each stretch that has no length, in faces that have some."""
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
     empty = np.zeros(len(owner), dtype=np.bool_)
-    empty[:-1] = (np.diff(faces.edges) <= EDGES.min_length) & (owner[1:] == owner[:-1])
+    empty[:-1] = (np.diff(faces.edges) <= MIN_LENGTH) & (owner[1:] == owner[:-1])
     empty &= has_length(faces)[owner]
     blur, neighbour = faces.blur.copy(), faces.neighbour.copy()
     for j in np.flatnonzero(empty):  # in order, so that several in a row are merged into the last
@@ -150,7 +146,7 @@ def with_edge_errors(faces: FaceSet, sums: Floats) -> FaceSet:
     """
     w = np.maximum(sums[:, 0], 1.0)
     c = sums[:, 1] / w
-    sum_of_squares = np.maximum(sums[:, 2] - w * c**2, 0.0) + 1.0 / FACES.splits.slope_prior**2
+    sum_of_squares = np.maximum(sums[:, 2] - w * c**2, 0.0) + 1.0 / FACES.slope_prior**2
 
     def variance_at(k: Ints, s: Floats) -> Floats:
         return np.asarray(1.0 / w[k] + (s - c[k]) ** 2 / sum_of_squares[k])
@@ -161,6 +157,6 @@ def with_edge_errors(faces: FaceSet, sums: Floats) -> FaceSet:
     adjacent = faces.neighbour
     sine = np.abs((faces.normals[owner] * faces.tangents[adjacent]).sum(axis=1))
     adjacent_variance = variance_at(adjacent, (faces.tangents[adjacent] * points).sum(axis=1))
-    corner = (own_variance + adjacent_variance) / np.maximum(sine, EDGES.min_sine) ** 2
+    corner = (own_variance + adjacent_variance) / np.maximum(sine, MIN_SINE) ** 2
     blur = np.sqrt(np.where(adjacent >= 0, corner, faces.blur**2 + own_variance))
-    return faces._replace(blur=np.minimum(blur, EDGES.max_blur))
+    return faces._replace(blur=np.minimum(blur, NEAR))

@@ -9,9 +9,11 @@ import numpy as np
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.faces.data import FacesData
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
-from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.stops import stop_shares
 from sensorgraph.types import Floats
+
+SHOWN_SHARE = 0.01
+"""Share of poses below which a face or a stretch of it is printed only on request."""
 
 
 def face_equations(model: FacesData, start: Floats, *, ray: int, every: bool) -> list[str]:
@@ -25,7 +27,7 @@ def face_equations(model: FacesData, start: Floats, *, ray: int, every: bool) ->
     faces, bearing = model.faces, float(model.sensor.bearings[ray])
     shares = stop_shares(faces, model.observed, start, bearing, model.sensor.range_max)
     of_faces = np.add.reduceat(shares, faces.first[:-1]) if faces.n_faces else np.zeros(0)
-    least = -1.0 if every else FACES.prediction.shown_share
+    least = -1.0 if every else SHOWN_SHARE
     lines = [
         f"ray {ray}, bearing {math.degrees(bearing):.2f}°: the first of these faces that stops it",
         "(x, y, phi: pose; c = cos phi, s = sin phi; only faces with a negative denominator count)",

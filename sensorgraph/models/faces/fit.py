@@ -11,19 +11,27 @@ from sensorgraph.models.faces.change_points import crossings_of, fit_stretches, 
 from sensorgraph.models.faces.corners import has_length, join_corners, with_edge_errors
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
+from sensorgraph.models.faces.maximisation import m_step
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.redundant import without_redundant_faces
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.splits import split_bent_faces
 from sensorgraph.models.faces.strata import spread_evenly
 from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics
-from sensorgraph.models.faces.visibility import Expectation, Rays, ReturnNoise, binned_faces, e_step, m_step
+from sensorgraph.models.faces.visibility import Expectation, Rays, ReturnNoise, binned_faces, e_step
 from sensorgraph.types import Floats, Progress
 from sensorgraph.work_counter import WorkCounter
 
 logger = logging.getLogger(__name__)
 
-FIT = FACES.fit
+DRAFT_RAYS = 300_000
+"""Maximum number of rays in the first rounds."""
+ROUNDS = 3
+"""Rounds of splitting and of selecting among unexplained hits; also the largest number of first selections."""
+PASSES, ROUND_PASSES = 3, 4
+"""EM iterations after a selection, and in each round."""
+WIDE_RATIO = 1.5
+"""Ratio of the observed to the assumed spread across faces above which the first selection is repeated."""
 SELECT_PASSES, SPLIT_PASSES, REDUNDANCY_PASSES, FINAL_PASSES = 4, 2, 5, 5
 """Approximate cost of a selection, a split, the removal of redundant faces and the last fit in passes over the rays; used for progress only."""
 
@@ -50,7 +58,7 @@ def fit_faces(
     rays: Rays,
     *,
     hit_moments: HitMoments | None = None,
-    sigma: float = FIT.first_sigma,
+    sigma: float = FACES.first_sigma,
     pose_errors: tuple[float, float] = (0.0, 0.0),
     progress: Progress | None = None,
 ) -> FittedFaces:
@@ -66,15 +74,16 @@ def fit_faces(
     work = WorkCounter(progress, fit_cost(len(rays)))
     if hit_moments is None:
         hit_moments = HitMoments.of(rays.hits, rays.directions)
-    draft, final = (_thinned(replace(rays, weights=None), most) for most in (FIT.draft_rays, FIT.final_rays))
+    final = replace(rays, weights=None)
+    draft = _thinned(final, DRAFT_RAYS)
     faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
     work.add(SELECT_PASSES * len(draft))
-    for _ in range(FIT.rounds):
+    for _ in range(ROUNDS):
         more = _select_unexplained(draft, expectation, noise)
-        faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FIT.min_face_gain))
+        faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))
         faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
-        faces, noise, expectation = _em(draft, faces, noise, passes=FIT.round_passes)
-        work.add((SPLIT_PASSES + FIT.round_passes) * len(draft))
+        faces, noise, expectation = _em(draft, faces, noise, passes=ROUND_PASSES)
+        work.add((SPLIT_PASSES + ROUND_PASSES) * len(draft))
         logger.info("%d faces, %.4f nats per ray", faces.n_faces, expectation.log_likelihood / len(draft))
     faces = without_redundant_faces(draft, faces, noise)
     logger.info("%d faces, none redundant", faces.n_faces)
@@ -82,7 +91,7 @@ def fit_faces(
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
     work.add((REDUNDANCY_PASSES + 1) * len(draft))
     faces, noise, expectation = _em(final, faces, noise, passes=1)
-    faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FIT.min_face_gain))
+    faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))
     crossings = crossings_of(final, faces, noise, pose_errors)
     faces = fit_stretches(faces, crossings)
     seen_faces = np.flatnonzero(is_visible(faces))
@@ -92,7 +101,7 @@ def fit_faces(
     seen_faces = np.flatnonzero(has_length(faces))
     faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)
     expectation = e_step(final, faces, noise)
-    counted = final if rays.weights is None or len(final) < len(rays) else rays
+    counted = final if rays.weights is None else rays
     summed = expectation if counted is final else e_step(counted, faces, noise)
     statistics = SufficientStatistics.of(counted, faces, summed, crossings, n_rays=len(counted))
     faces = with_edge_errors(faces, expectation.line_sums)
@@ -107,7 +116,7 @@ def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
 
     Bent faces are not split, since the sensor may cause the bend.
     """
-    draft = _thinned(replace(rays, weights=None), FIT.draft_rays)
+    draft = _thinned(replace(rays, weights=None), DRAFT_RAYS)
     faces, noise, expectation = _select_and_fit(draft, HitMoments.of(rays.hits, rays.directions), sigma)
     return FittedFaces(faces=faces, noise=noise, expectation=expectation, n_rays=len(draft))
 
@@ -116,13 +125,13 @@ def _select_and_fit(
     rays: Rays, hit_moments: HitMoments, sigma: float
 ) -> tuple[FaceSet, ReturnNoise, Expectation]:
     """Select faces; repeat with a wider band if the hits spread more than assumed, due to noise of the poses."""
-    for _ in range(FIT.max_selections):
+    for _ in range(ROUNDS):
         lines = select_lines(hit_moments, sigma=sigma)
         faces, noise, expectation = _em(
-            rays, binned_faces(lines), ReturnNoise(sigma=2 * sigma), passes=FIT.first_passes
+            rays, binned_faces(lines), ReturnNoise(sigma=2 * sigma), passes=PASSES
         )
         spread = _spread_across_faces(expectation, noise)
-        if spread < FIT.wide_ratio * sigma:
+        if spread < WIDE_RATIO * sigma:
             break
         sigma = spread
     return faces, noise, expectation
@@ -152,7 +161,7 @@ def _select_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise
     """Select lines among the returns that no face explains."""
     left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
     hit_moments = HitMoments.of(rays.hits[left], rays.directions[left])
-    return select_lines(hit_moments, sigma=noise.sigma, limits=FACES.selection.later_lines)
+    return select_lines(hit_moments, sigma=noise.sigma, limits=FACES.later_lines)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:
@@ -169,7 +178,5 @@ def _thinned(rays: Rays, most: int) -> Rays:
 
 def fit_cost(n_rays: int) -> int:
     """Return the approximate number of rays that `fit_faces` processes in all its passes, as a measure of its time."""
-    draft, final = min(n_rays, FIT.draft_rays), min(n_rays, FIT.final_rays)
-    return (
-        SELECT_PASSES + (SPLIT_PASSES + FIT.round_passes) * FIT.rounds + REDUNDANCY_PASSES + 1
-    ) * draft + FINAL_PASSES * final
+    passes = SELECT_PASSES + (SPLIT_PASSES + ROUND_PASSES) * ROUNDS + REDUNDANCY_PASSES + 1
+    return passes * min(n_rays, DRAFT_RAYS) + FINAL_PASSES * n_rays

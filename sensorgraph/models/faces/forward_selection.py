@@ -21,14 +21,25 @@ from sensorgraph.models.faces.hit_moments import HIT_CELL, HitMoments
 from sensorgraph.models.faces.settings import FACES, LineLimits
 from sensorgraph.types import Floats, Ints
 
-SELECTION = FACES.selection
-N_ANGLES, VOTE_SPREAD, OFFSET_BIN = SELECTION.n_angles, SELECTION.vote_spread, SELECTION.offset_bin
-FIRST_BAND = SELECTION.first_band_bins * OFFSET_BIN
-NEIGHBOURHOODS, MIN_NEIGHBOURHOOD_HITS = SELECTION.neighbourhoods, SELECTION.min_neighbourhood_hits
-MIN_ELONGATION, MIN_FACING = SELECTION.min_elongation, SELECTION.min_facing
-MAX_TURN_BINS = N_ANGLES * SELECTION.max_normal_turn / (2 * np.pi)
-MIN_AGREEMENT, MIN_VOTES_SHARE = SELECTION.min_agreement, SELECTION.min_votes_share
-REFITS, MAX_LINES, MAX_FAILURES = SELECTION.refits, SELECTION.max_lines, SELECTION.max_failures
+N_ANGLES, VOTE_SPREAD = 240, 3
+"""Number of normal angles over the full circle, since faces are one-sided; neighbouring bins on each side that a cell also votes for."""
+OFFSET_BIN = HIT_CELL
+"""[m] Bin size of the offset."""
+BAND_SIGMAS, MIN_BAND, FIRST_BAND = 3.0, 0.6 * HIT_CELL, 1.5 * OFFSET_BIN
+"""Half width of the band of a line: in standard deviations of hits across it, [m] at least, and [m] at first."""
+NEIGHBOURHOODS, MIN_NEIGHBOURHOOD_HITS = (2, 4), 3
+"""Cells to each side whose hits, of which so many are needed, determine the normal of a cell; the second if the first is unclear."""
+MIN_ELONGATION = 3.0
+"""Minimum ratio of the variances of hits along and across for a clear normal."""
+MIN_FACING = 0.02
+"""Minimum cosine between a line's normal and the direction to the laser for a cell of the line."""
+MAX_TURN = np.radians(40.0)
+"""[rad] Largest angle between the normals of a line and of a cell on it, and between those before and after a fit."""
+MAX_TURN_BINS, MIN_AGREEMENT = N_ANGLES * MAX_TURN / (2 * np.pi), np.cos(MAX_TURN)
+REFITS = 4
+"""Number of alternating fits of a line and its cells."""
+MAX_LINES = 4096
+"""Largest number of lines in one call, and number of bins without a line after which the search ends."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,9 +69,7 @@ class Lines:
         return Lines(normals=self.normals[index], offsets=self.offsets[index], spans=self.spans[index])
 
 
-def select_lines(
-    hit_moments: HitMoments, *, sigma: float, limits: LineLimits = SELECTION.first_lines
-) -> Lines:
+def select_lines(hit_moments: HitMoments, *, sigma: float, limits: LineLimits = FACES.first_lines) -> Lines:
     """Select lines until no more lines satisfy the limits.
 
     Parameters
@@ -82,7 +91,7 @@ def select_lines(
         np.ascontiguousarray(row),
         hit_moments.centres - middle,
         hit_moments.moments,
-        float(max(SELECTION.band_sigmas * sigma, SELECTION.min_band_cells * HIT_CELL)),
+        float(max(BAND_SIGMAS * sigma, MIN_BAND)),
         limits.min_hits,
         limits.gap,
         limits.min_length,
@@ -132,14 +141,14 @@ def _select_lines(
     found = np.zeros((MAX_LINES, 5))
     n_found = 0
     failures = 0
-    while n_found < len(found) and failures < MAX_FAILURES:
+    while n_found < len(found) and failures < MAX_LINES:
         for a in range(N_ANGLES):
             if stale[a]:
                 places[a] = np.argmax(votes[a])
                 tops[a] = votes[a, places[a]]
                 stale[a] = False
         best = np.argmax(tops)
-        if tops[best] < MIN_VOTES_SHARE * min_hits:
+        if tops[best] < 0.5 * min_hits:  # a cell's vote is divided between two bins of the offset
             break
         a, k = int(best), int(places[best])
         line, members = _fit_run(

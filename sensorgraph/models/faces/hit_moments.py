@@ -16,7 +16,7 @@ from planners.kernel import kernel
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats
 
-HIT_CELL = FACES.reduction.hit_cell
+HIT_CELL = FACES.hit_cell
 """[m] Side of a cell."""
 N_MOMENTS = 8  # count, x, y, xx, xy, yy (about the cell's centre), ux, uy
 _KEY_OFFSET = 1 << 30  # a key distinguishes ± this many cells along an axis

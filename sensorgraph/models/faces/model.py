@@ -60,8 +60,6 @@ from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
-PREDICTION = FACES.prediction
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Faces(FacesData):
@@ -104,7 +102,7 @@ class Faces(FacesData):
     @property
     def is_cluttered(self) -> bool:
         """Return whether faces leave so much unexplained that cells predict better; cells need thin rays."""
-        return self.noise.stray > PREDICTION.max_stray and not measures_cones(self.sensor)
+        return self.noise.stray > FACES.max_stray and not measures_cones(self.sensor)
 
     def with_cells(self, scans: TrainingScans, *, progress: Progress | None = None) -> Self:
         """Add cells fitted to the same scans; these then predict in place of the faces."""
@@ -234,9 +232,7 @@ class Faces(FacesData):
             table, supported = cone_table(self, lasers(poses, self.mount), rays, which_of(point))
         else:
             table, supported = thin_table(self, self.buckets, poses, rays, which_of(point))
-        is_clear = (table[..., P_OFF] < PREDICTION.max_p_off) | (
-            table[..., NO_RETURN] > 1 - PREDICTION.max_p_off
-        )
+        is_clear = (table[..., P_OFF] < FACES.max_p_off) | (table[..., NO_RETURN] > 1 - FACES.max_p_off)
         return to_prediction(table, point, supported & is_clear)
 
     def mixture(self, poses: Floats, rays: Ints) -> Mixture:

@@ -14,7 +14,8 @@ from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Bools, Floats
 
-PREDICTION = FACES.prediction
+MAX_CELLS = 1 << 26
+"""Maximum number of cells; a larger grid is coarsened."""
 MAX_COUNT = 255
 """Maximum count of a cell, which fits into one byte."""
 
@@ -40,11 +41,11 @@ class ObservedSpace:
         reach: Floats,
         *,
         returned: Bools | None = None,
-        cell: float = PREDICTION.observed_cell,
+        cell: float = FACES.observed_cell,
     ) -> ObservedSpace:
         """Count rays (n, 2), (n, 2) up to `reach` (n,) [m]; rays in the mask `returned` (n,), or all, mark free space."""
         low, high = _extent(origins, directions, reach)
-        while np.prod((high - low) / cell + 4) > PREDICTION.max_observed_cells:
+        while np.prod((high - low) / cell + 4) > MAX_CELLS:
             cell *= 2
         corner = np.floor(low / cell - 1) * cell
         shape = np.ceil((high - corner) / cell).astype(int) + 2
@@ -73,7 +74,7 @@ class ObservedSpace:
         corners = np.round(np.stack([self.origin, other.origin]) / self.cell).astype(int)
         low = corners.min(axis=0)
         high = np.max([corners[0] + self.counts.shape, corners[1] + other.counts.shape], axis=0)
-        if np.prod((high - low).astype(float)) > PREDICTION.max_observed_cells:
+        if np.prod((high - low).astype(float)) > MAX_CELLS:
             return self.coarser().merge(other.coarser())
         total, free = np.zeros(high - low, dtype=np.uint16), np.zeros(high - low, dtype=np.bool_)
         for corner, grid in zip(corners, (self, other), strict=True):

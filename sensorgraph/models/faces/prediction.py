@@ -26,20 +26,17 @@ from sensorgraph.models.faces.ray_march import (
     new_march,
 )
 from sensorgraph.models.faces.settings import FACES
-from sensorgraph.models.faces.visibility import variance
+from sensorgraph.models.faces.visibility import FIT_GATE, MIN_VARIANCE, variance
 from sensorgraph.models.likelihood import log_density_of
 from sensorgraph.models.mixture import summarise
 from sensorgraph.types import Floats
 
-PREDICTION = FACES.prediction
-SUPPORT_MARGIN, MIN_SURVIVAL, MIN_SHARE = (
-    PREDICTION.support_margin,
-    PREDICTION.min_survival,
-    PREDICTION.min_share,
-)
+SUPPORT_MARGIN = FACES.observed_cell
+"""[m] Distance before the predicted range from which a ray needs no support, since the surface was observed."""
+MIN_SURVIVAL, MIN_SHARE = 1e-3, 1e-4
+"""Survival probability below which a ray is not followed further, and probability of a stop below which a face is no candidate."""
 MAX_OFF_SIGMAS = 4.5
 """Ratio of `OFF_DISTANCE` to a standard deviation above which p_off is 0; the error is below 1e-5."""
-EDGE_GATE, MIN_EDGE_VARIANCE = PREDICTION.edge_sigmas**2, PREDICTION.min_edge_variance
 
 
 class LaserBeams(NamedTuple):
@@ -110,9 +107,9 @@ def ray_mixture(i: Any, b: Any, beams: Any, work: Any, mixture: Any) -> Any:
             e = first[f]
         elif e + 1 < first[f + 1] and edges[e + 1] - t[m] < t[m] - edges[e]:
             e += 1
-        spread = blur[e] ** 2 + across + MIN_EDGE_VARIANCE
+        spread = blur[e] ** 2 + across + MIN_VARIANCE
         off = t[m] - edges[e]
-        if off * off < EDGE_GATE * spread:
+        if off * off < FIT_GATE * spread:
             adjacent = neighbour[e]
             if adjacent < 0 or normals[adjacent, 0] * ux + normals[adjacent, 1] * uy >= 0:
                 before = levels[e - 1] if e > first[f] else 0.0

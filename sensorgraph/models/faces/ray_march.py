@@ -13,13 +13,22 @@ import numpy as np
 
 from planners.kernel import inlined_kernel, inner_kernel, kernel
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
-MARCH = FACES.march
-BUCKET_SIZE, END_MARGIN, MIN_VISIBILITY = MARCH.bucket_size, MARCH.end_margin, MARCH.min_visibility
-BACK_SIDE_MARGIN, MIN_BACK_VISIBILITY = MARCH.back_side_margin, MARCH.min_back_visibility
-MAX_CANDIDATES = MARCH.max_candidates
+BUCKET_SIZE = 0.8
+"""[m] Side of a bucket; 0.3 to 1.2 m perform alike."""
+MAX_BUCKETS = 1 << 24
+"""Maximum number of buckets of 8 bytes each: 11 km²."""
+END_MARGIN = 0.02
+"""[m] Distance beyond its ends up to which a face is listed, so that a blurred end is visible.
+
+A ray that meets the back of a face farther inside than half of it came through solid matter."""
+MIN_VISIBILITY = 0.003
+"""Visibility below which a stretch is ignored."""
+MIN_LENGTH = 1e-6
+"""[m] Length up to which a stretch is empty."""
+MAX_CANDIDATES = 96
+"""Maximum number of faces listed for one ray."""
 CANDIDATE_SLOTS = MAX_CANDIDATES + 1
 """Length of the arrays that hold candidates."""
 
@@ -104,10 +113,10 @@ def bucket_grid(faces: FaceSet) -> BucketGrid:
     origin = points.min(axis=0) - 2 * END_MARGIN - 0.01
     size = np.floor((points.max(axis=0) + 2 * END_MARGIN - origin) / BUCKET_SIZE).astype(int) + 1
     shape = (int(size[0]), int(size[1]))
-    if shape[0] * shape[1] > MARCH.max_buckets:
+    if shape[0] * shape[1] > MAX_BUCKETS:
         width, depth = np.ptp(points, axis=0)
         raise SensorgraphError(
-            f"faces lie {width:,.0f} x {depth:,.0f} m apart, expected at most {MARCH.max_buckets * BUCKET_SIZE**2 / 1e6:,.0f} "
+            f"faces lie {width:,.0f} x {depth:,.0f} m apart, expected at most {MAX_BUCKETS * BUCKET_SIZE**2 / 1e6:,.0f} "
             "km² in all: remove poses or ranges that are far off (sensorgraph inspect), and build the graph again"
         )
     counts = np.zeros(shape[0] * shape[1] + 1, dtype=np.intp)
@@ -243,8 +252,8 @@ def crossed_faces(
                     at = edge_before(edges, first[f], first[f + 1], s)
                     if (
                         first[f] <= at < first[f + 1] - 1
-                        and levels[at] > MIN_BACK_VISIBILITY
-                        and edges[at] + BACK_SIDE_MARGIN < s < edges[at + 1] - BACK_SIDE_MARGIN
+                        and levels[at] > 0.5
+                        and edges[at] + 0.5 * END_MARGIN < s < edges[at + 1] - 0.5 * END_MARGIN
                     ):
                         r[MAX_CANDIDATES] = rho
                 continue

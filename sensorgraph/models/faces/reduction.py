@@ -20,14 +20,16 @@ from planners.kernel import kernel
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
-from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.strata import spread_evenly
 from sensorgraph.models.faces.visibility import Rays
 from sensorgraph.types import Floats
 
-SCANS_PER_BLOCK = FACES.reduction.scans_per_block
-MAX_COLLECTED_RAYS = FACES.reduction.max_collected_rays
-MAX_SAMPLED_RAYS = FACES.reduction.max_sampled_rays
+SCANS_PER_BLOCK = 8192
+"""Number of scans in a block; like the numbers of rays, it was set by time and memory (`python -m benchmarks.build_speed`)."""
+MAX_SAMPLED_RAYS = 1_500_000
+"""Number of collected rays that are sampled, spread evenly over places and directions."""
+MAX_COLLECTED_RAYS = 2 * MAX_SAMPLED_RAYS
+"""Expected number of rays collected from a whole log."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

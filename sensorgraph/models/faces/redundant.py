@@ -1,4 +1,4 @@
-"""Removal of redundant faces: short ones whose returns the longer faces beside them explain as well.
+"""Removal of redundant faces: short ones whose returns longer ones nearby explain as well.
 
 Forward selection cannot know yet how far the faces reach that it selects later. In a corner, and between the ends of two
 faces, it may therefore select a short face across, which hits within the noise of both seem to need.
@@ -11,17 +11,22 @@ from scipy.spatial import cKDTree
 
 from sensorgraph.models.faces.change_points import joined_faces, take_faces
 from sensorgraph.models.faces.forward_selection import Lines
+from sensorgraph.models.faces.maximisation import m_step
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
+    FIRST_BIN,
+    FIT_SIGMAS,
     Rays,
     ReturnNoise,
     binned_faces,
     e_step,
-    m_step,
     visible_lines,
 )
 from sensorgraph.types import Bools, Floats
+
+PASSES = 2
+"""EM iterations of the visibility of faces without redundant ones."""
 
 
 def without_redundant_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> FaceSet:
@@ -43,7 +48,7 @@ def without_redundant_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> F
     hosts, suspects = np.flatnonzero(~suspect), np.flatnonzero(suspect)
     others = Lines(normals=lines.normals, offsets=lines.offsets, spans=reach).take(hosts)
     fewer = _grown(take_faces(faces, hosts), others)
-    for _ in range(FACES.fit.redundancy_passes):
+    for _ in range(PASSES):
         fewer = _settled(rays, fewer, noise)
     without = e_step(rays, fewer, noise)
     loss = _losses(rays, expectation.nats - without.nats, lines.take(suspects), noise)
@@ -56,7 +61,7 @@ def without_redundant_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> F
 def _grown(faces: FaceSet, lines: Lines) -> FaceSet:
     """Return faces in bins over the spans of `lines`, with the visibility that they have so far."""
     grown = binned_faces(lines)
-    levels, middles = grown.levels.copy(), grown.edges + FACES.expectation.first_bin / 2
+    levels, middles = grown.levels.copy(), grown.edges + FIRST_BIN / 2
     for k in range(faces.n_faces):
         old, new = (slice(one.first[k], one.first[k + 1] - 1) for one in (faces, grown))
         at = np.searchsorted(faces.edges[old], middles[new], side="right") - 1
@@ -79,7 +84,7 @@ def _covered(lines: Lines, sums: Floats, noise: ReturnNoise) -> tuple[Bools, Flo
     hits, weight = sums[:, 5], np.maximum(sums[:, 0], 1e-300)
     middle = sums[:, 1] / weight
     half = np.sqrt(3.0 * np.maximum(sums[:, 2] / weight - middle**2, 0.0))
-    near = FACES.expectation.fit_sigmas * float(np.hypot(noise.sigma, noise.sigma_xy))
+    near = FIT_SIGMAS * float(np.hypot(noise.sigma, noise.sigma_xy))
     tangents = np.stack([-lines.normals[:, 1], lines.normals[:, 0]], axis=1)
     length = 2 * half
     covered, spans = np.zeros(len(lines), dtype=np.bool_), lines.spans.copy()
@@ -113,11 +118,11 @@ def _losses(rays: Rays, lost: Floats, lines: Lines, noise: ReturnNoise) -> Float
     """
     tangents = np.stack([-lines.normals[:, 1], lines.normals[:, 0]], axis=1)
     middles = lines.normals * lines.offsets[:, None] + tangents * lines.spans.mean(axis=1)[:, None]
-    radii = np.diff(lines.spans, axis=1)[:, 0] / 2 + FACES.expectation.fit_sigmas * noise.sigma
+    radii = np.diff(lines.spans, axis=1)[:, 0] / 2 + FIT_SIGMAS * noise.sigma
     returned = np.flatnonzero(np.isfinite(rays.ranges))
     found = cKDTree(middles).query(rays.hits[returned], distance_upper_bound=float(radii.max()))
     far, nearest = np.asarray(found[0]), np.asarray(found[1])
     near = far < np.append(radii, 0.0)[nearest]  # a ray without a line nearby has the index n_lines
     count = np.bincount(nearest[near], minlength=len(lines))
     loss = np.bincount(nearest[near], weights=lost[returned[near]], minlength=len(lines))
-    return np.asarray(loss - FACES.splits.min_gain - np.log(np.maximum(count, 1)))
+    return np.asarray(loss - FACES.min_split_gain - np.log(np.maximum(count, 1)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.faces.forward_selection import Lines
-from sensorgraph.models.faces.ray_march import FaceSet, bucket_grid
+from sensorgraph.models.faces.ray_march import MIN_LENGTH, FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
     Rays,
@@ -20,8 +20,8 @@ from sensorgraph.models.faces.visibility import (
 )
 from sensorgraph.types import Floats
 
-SPLITS = FACES.splits
-SLOPE_PRECISION = 1.0 / SPLITS.slope_prior**2
+SLOPE_PRECISION = 1.0 / FACES.slope_prior**2
+MIN_HITS = int(FACES.later_lines.min_hits)
 MIN_HIT_SHARE = 0.5
 """Probability of being from a face above which a return is a hit of it; at most one face exceeds it."""
 
@@ -48,7 +48,7 @@ def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
             ends = [n * (faces.offsets[k] + a + b * x) + t * x for x in (low, high)]
             along = ends[1] - ends[0]
             length = float(np.hypot(*along))
-            if length < SPLITS.min_length:
+            if length < MIN_LENGTH:
                 continue
             along = along / length
             normal = np.array([along[1], -along[0]])
@@ -65,14 +65,14 @@ def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
 def _split(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, float, float]]:
     """Divide sorted hits recursively where two lines gain more log likelihood over one than the penalty."""
     n = len(s)
-    if n < 2 * SPLITS.min_hits:
+    if n < 2 * MIN_HITS:
         return [(0, n, 0.0, 0.0)]
-    penalty = SPLITS.min_gain + np.log(n)
+    penalty = FACES.min_split_gain + np.log(n)
     done: list[tuple[int, int, float, float]] = []
     todo = [(0, n)]
     while todo:
         a, b = todo.pop()
-        cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], SPLITS.min_hits)
+        cut, gain = _best_cut(s[a:b], across[a:b], weight[a:b], MIN_HITS)
         if gain > penalty:
             todo += [(a + cut, b), (a, a + cut)]
         else:

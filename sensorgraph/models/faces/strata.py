@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
-FIT = FACES.fit
+CELL, SECTOR = 0.5, np.radians(15.0)
+"""[m, rad] Size of the cells and of the sectors of direction from which samples take up to the same number of rays."""
 
 
 def spread_evenly(places: Floats, turn: Floats, most: int) -> tuple[Ints, Floats]:
@@ -24,8 +24,8 @@ def spread_evenly(places: Floats, turn: Floats, most: int) -> tuple[Ints, Floats
     -------
     (m,) indices, ascending; and (m,) number of rays of its cell and sector that each represents
     """
-    sector = np.floor(turn / FIT.stratum_sector)
-    cell = np.floor(places / FIT.stratum_cell)
+    sector = np.floor(turn / SECTOR)
+    cell = np.floor(places / CELL)
     key = np.ravel_multi_index(
         tuple((column - column.min()).astype(np.intp) for column in (*cell.T, sector)),
         tuple(int(np.ptp(column)) + 1 for column in (*cell.T, sector)),

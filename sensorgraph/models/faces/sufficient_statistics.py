@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from sensorgraph.models.faces.change_points import Crossings, sorted_crossings
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import Expectation, Rays
 from sensorgraph.types import Floats, Ints
 
+KEPT_CROSSINGS, REPRESENTATIVES = 12, 16
+"""Number of crossings kept on each side of an edge, and number that represent all others of a stretch."""
 SUMS = {
     "lines": "line_sums",
     "stops": "stops",
@@ -102,18 +103,17 @@ class SufficientStatistics:
         """
         owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
         at = np.flatnonzero(
-            (self.reached > 2 * FACES.reduction.kept_crossings)
-            & (np.arange(len(owner)) + 1 != faces.first[owner + 1])
+            (self.reached > 2 * KEPT_CROSSINGS) & (np.arange(len(owner)) + 1 != faces.first[owner + 1])
         )
-        step = (np.arange(FACES.reduction.representatives) + 0.5) / FACES.reduction.representatives
+        step = (np.arange(REPRESENTATIVES) + 0.5) / REPRESENTATIVES
         low, high = faces.edges[at], faces.edges[at + 1]
         t = low[:, None] + (high - low)[:, None] * step
-        stop = np.repeat(np.clip(self.stops[at] / self.reached[at], 0, 1), FACES.reduction.representatives)
+        stop = np.repeat(np.clip(self.stops[at] / self.reached[at], 0, 1), REPRESENTATIVES)
         weight = np.repeat(
-            (self.reached[at] - 2 * FACES.reduction.kept_crossings) / FACES.reduction.representatives,
-            FACES.reduction.representatives,
+            (self.reached[at] - 2 * KEPT_CROSSINGS) / REPRESENTATIVES,
+            REPRESENTATIVES,
         )
-        face = np.concatenate([self.face, np.repeat(owner[at], FACES.reduction.representatives)])
+        face = np.concatenate([self.face, np.repeat(owner[at], REPRESENTATIVES)])
         t = np.concatenate([self.t, t.ravel()]) + slide[face]
         error = np.concatenate([self.error, np.zeros(len(stop))])
         return face, t, np.concatenate([self.stop, stop]), np.concatenate([self.weight, weight]), error
@@ -211,9 +211,7 @@ def _next_to_edges(faces: FaceSet, crossings: Crossings) -> tuple[Ints, Ints]:
         start, end = int(crossings.bounds[k]), int(crossings.bounds[k + 1])
         edges = faces.edges[faces.first[k] : faces.first[k + 1]]
         middle = start + np.searchsorted(crossings.t[start:end], edges)
-        near = (
-            middle[:, None] + np.arange(-FACES.reduction.kept_crossings, FACES.reduction.kept_crossings)
-        ).ravel()
+        near = (middle[:, None] + np.arange(-KEPT_CROSSINGS, KEPT_CROSSINGS)).ravel()
         near = np.unique(near[(near >= start) & (near < end)])
         found.append(near)
         owners.append(np.full(len(near), k, dtype=np.intp))

@@ -15,8 +15,10 @@ from sensorgraph.models.faces.change_points import (
     take_faces,
 )
 from sensorgraph.models.faces.corners import has_length, join_corners, with_edge_errors
+from sensorgraph.models.faces.fit import PASSES
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
+from sensorgraph.models.faces.maximisation import STRAY_RANGE, estimate_noise, refit_lines, stretch_visibility
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
 from sensorgraph.models.faces.settings import FACES
@@ -28,18 +30,17 @@ from sensorgraph.models.faces.sufficient_statistics import (
     scale_of,
 )
 from sensorgraph.models.faces.visibility import (
+    FIRST_BIN,
     Expectation,
     Rays,
     ReturnNoise,
     binned_faces,
     e_step,
-    estimate_noise,
-    refit_lines,
-    stretch_visibility,
 )
 from sensorgraph.types import Floats, Ints
 
-UPDATE = FACES.update
+EXPLAINED_WITHIN = 0.03
+"""[m] Distance to a visible stretch below which a stored hit is explained."""
 
 
 def update_faces(
@@ -72,16 +73,16 @@ def update_faces(
     lines = select_lines(
         hits.merge(statistics.unexplained_hits),
         sigma=noise.sigma,
-        limits=FACES.selection.later_lines,
+        limits=FACES.later_lines,
     )
     old = _with_new_faces(statistics, lines, observed)
     n_old = faces.n_faces
     faces = joined_faces(faces, binned_faces(lines))
-    for _ in range(UPDATE.em_passes):
+    for _ in range(PASSES):
         expectation = e_step(rays, faces, noise)
         faces = faces._replace(levels=_visibility(faces, expectation, old, scale))
     keep = np.flatnonzero(
-        (np.arange(faces.n_faces) < n_old) | (expectation.line_sums[:, 7] > FACES.fit.min_face_gain)
+        (np.arange(faces.n_faces) < n_old) | (expectation.line_sums[:, 7] > FACES.min_face_gain)
     )
     faces, old = _take(faces, old, keep)
     refit = _refitted(faces, old, rays, noise, pose_errors, scale)
@@ -101,7 +102,7 @@ def update_faces(
     expectation = e_step(rays, faces, noise)
     new = SufficientStatistics.of(rays, faces, expectation, stored_crossings, n_rays=n_rays)
     total = _merge_statistics(old, new, held_lines, faces, crossings)
-    stray = np.clip(total.stray[0] / max(total.stray[1], 1.0), *FACES.expectation.stray_range)
+    stray = np.clip(total.stray[0] / max(total.stray[1], 1.0), *STRAY_RANGE)
     noise = estimate_noise(noise, total.noise_sums, float(stray))
     return with_edge_errors(faces, total.line_sums), noise, total
 
@@ -147,12 +148,10 @@ def _with_new_faces(
     """Return the statistics extended by new faces; old rays through their place count as passes."""
     new = binned_faces(lines)
     owner = np.repeat(np.arange(new.n_faces), np.diff(new.first))
-    middle = new.edges + FACES.expectation.first_bin / 2
+    middle = new.edges + FIRST_BIN / 2
     points = new.normals[owner] * new.offsets[owner, None] + new.tangents[owner] * middle[:, None]
-    passes = np.minimum(
-        _rays_through(observed, points + UPDATE.pass_distance * new.normals[owner]),
-        _rays_through(observed, points - UPDATE.pass_distance * new.normals[owner]),
-    )
+    beside = observed.cell * new.normals[owner]  # in the cells on both sides of the face
+    passes = np.minimum(_rays_through(observed, points + beside), _rays_through(observed, points - beside))
     return replace(
         statistics,
         line_sums=np.concatenate([statistics.line_sums, np.zeros((new.n_faces, 8))]),
@@ -218,8 +217,6 @@ def _still_unexplained(unexplained: HitMoments, faces: FaceSet) -> HitMoments:
         t = where @ faces.tangents[k]
         j = np.clip(np.searchsorted(faces.edges[part], t, side="right") - 1, 0, None)
         near |= (
-            (off < UPDATE.explained_within)
-            & (t > faces.edges[part][0])
-            & (faces.levels[part][j] > MIN_VISIBILITY)
+            (off < EXPLAINED_WITHIN) & (t > faces.edges[part][0]) & (faces.levels[part][j] > MIN_VISIBILITY)
         )
     return HitMoments(cells=unexplained.cells[~near], moments=unexplained.moments[~near])

@@ -4,9 +4,7 @@ Likelihood of a return z: p(z) = sum_m S_m alpha_m N(z; r_m, var_m) + before * s
 Here alpha_m is the visibility of face k[m] at its crossing at range r_m. The factor `before` is the probability of
 passing all faces nearer than z, and `stray` is the density of outliers. Without a return: prod_m (1 - alpha_m).
 
-The E step computes gamma_m = P(stopped at m | z). The M step sets the visibility of each stretch to
-(stops + prior_stops) / (reached + prior_crossings). It also refits every line by weighted least squares and estimates
-the noise.
+The E step computes gamma_m = P(stopped at m | z) and the sums that the M step (`maximisation`) needs.
 """
 
 from __future__ import annotations
@@ -15,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from planners.kernel import inlined_kernel, inner_kernel, kernel
+from sensorgraph.models.distribution import TAIL
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.ray_march import (
     CANDIDATE_SLOTS,
@@ -29,15 +27,28 @@ from sensorgraph.models.faces.ray_march import (
     crossed_faces,
     new_march,
 )
-from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Floats, Ints
 
-EXPECTATION = FACES.expectation
-MIN_COSINE, MIN_SQUARED_COSINE = EXPECTATION.min_cosine, EXPECTATION.min_squared_cosine
-GATE, FIT_GATE = EXPECTATION.gate_sigmas**2, EXPECTATION.fit_sigmas**2
-"""Squared gates, in standard deviations squared."""
-REACH_SIGMAS, REACH_MARGIN = EXPECTATION.gate_sigmas, EXPECTATION.reach_margin
-MIN_FIT_SHARE = EXPECTATION.min_fit_share
+FIRST_BIN = 0.01
+"""[m] Bin size along a face for the first estimate of its visibility."""
+FIRST_VISIBILITY, FAINT = 0.8, 0.1
+"""Initial visibility within the span of the hits, and in the margin around it; below the second, a face has ended."""
+PRIOR_STOPS = 0.02
+PRIOR_CROSSINGS = 2 * PRIOR_STOPS
+"""Prior numbers of stops on a stretch and of crossings of it: a visibility of one half, with little weight."""
+MIN_COSINE = 0.05
+"""|n·u| below which a hit does not move its face, since grazing incidence amplifies errors; a variance is limited there."""
+MIN_SQUARED_COSINE = MIN_COSINE**2
+FIT_SIGMAS = 4.0
+"""Standard deviations beyond which a return affects neither line nor noise, and an edge neither stops nor passes."""
+GATE, FIT_GATE = TAIL**2, FIT_SIGMAS**2
+"""Squared gates, in standard deviations squared; a return beyond the first is not from a face."""
+REACH_MARGIN = 0.08
+"""[m] Distance behind a return, in addition to `TAIL`, up to which faces may have stopped the ray."""
+MIN_FIT_SHARE = 0.01
+"""Probability of being from a face below which a return does not move it."""
+MIN_VARIANCE = 1e-8
+"""[m²] Lower limit of the variance of the range noise and of an edge's position: (0.1 mm)²."""
 MIN_PASSED, MIN_LIKELIHOOD = 1e-5, 1e-12
 """Lower limits of logarithms' arguments: probability of passing a stretch, and likelihood of a ray [1/m]."""
 
@@ -103,7 +114,7 @@ class ReturnNoise:
     """[m] Noise of the pose, across the face."""
     sigma_yaw: float = 0.0
     """[rad] Noise of the heading."""
-    stray: float = EXPECTATION.first_stray
+    stray: float = 1e-3
     """[1/m] Density of outliers: returns that no face explains."""
 
     @property
@@ -144,15 +155,14 @@ class Expectation:
 
 def binned_faces(lines: Lines) -> FaceSet:
     """Divide lines into bins, visible within their spans and faintly visible in a margin around them."""
-    bin_size = EXPECTATION.first_bin
     first, edges, levels = [0], [], []
     for low, high in lines.spans:
-        n = int(np.ceil((high - low + 4 * END_MARGIN) / bin_size))
-        here = low - 2 * END_MARGIN + bin_size * np.arange(n + 1)
-        middle = here + bin_size / 2
+        n = int(np.ceil((high - low + 4 * END_MARGIN) / FIRST_BIN))
+        here = low - 2 * END_MARGIN + FIRST_BIN * np.arange(n + 1)
+        middle = here + FIRST_BIN / 2
         edges.append(here)
         is_inside = (middle > low) & (middle < high)
-        levels.append(np.where(is_inside, EXPECTATION.first_visibility, EXPECTATION.first_margin_visibility))
+        levels.append(np.where(is_inside, FIRST_VISIBILITY, FAINT))
         levels[-1][-1] = 0.0
         first.append(first[-1] + n + 1)
     n_edges = first[-1]
@@ -168,11 +178,11 @@ def binned_faces(lines: Lines) -> FaceSet:
 
 
 def visible_lines(faces: FaceSet) -> Lines:
-    """Return the lines with the spans of their visible stretches."""
+    """Return the lines with the spans of their stretches that are not far below the initial visibility of a margin."""
     spans = np.zeros((faces.n_faces, 2))
     for k in range(faces.n_faces):
         j = np.arange(faces.first[k], faces.first[k + 1] - 1)
-        visible = j[faces.levels[j] > EXPECTATION.min_span_visibility]
+        visible = j[faces.levels[j] > 0.5 * FAINT]
         spans[k] = (faces.edges[visible[0]], faces.edges[visible[-1] + 1]) if len(visible) else (0.0, 0.0)
     return Lines(normals=faces.normals, offsets=faces.offsets, spans=spans)
 
@@ -195,67 +205,6 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
         nats=nats,
         log_likelihood=float(total[0]),
         distance=float(total[1]),
-    )
-
-
-def m_step(
-    faces: FaceSet, expectation: Expectation, noise: ReturnNoise, *, refit: bool
-) -> tuple[FaceSet, ReturnNoise]:
-    """Set visibility, lines (if `refit`) and noise to the maximum of the expected likelihood (M step)."""
-    better = faces._replace(levels=stretch_visibility(faces, expectation.stops, expectation.reached))
-    if refit:
-        better = refit_lines(better, expectation.line_sums)
-    returned = float(expectation.unexplained.sum())
-    stray = float(np.clip((returned + 1.0) / max(expectation.distance, 1.0), *EXPECTATION.stray_range))
-    return better, estimate_noise(noise, expectation.noise_sums, stray)
-
-
-def stretch_visibility(faces: FaceSet, stops: Floats, reached: Floats) -> Floats:
-    """Return the visibility (n_edges,) = (stops + prior_stops) / (reached + prior_crossings) of every stretch."""
-    prior = EXPECTATION.prior_stops, EXPECTATION.prior_crossings
-    levels = np.where(reached > 0, (stops + prior[0]) / (reached + prior[1]), 0.0)
-    levels[faces.first[1:] - 1] = 0.0
-    return np.asarray(levels)
-
-
-def refit_lines(faces: FaceSet, sums: Floats) -> FaceSet:
-    """Shift and turn every line by weighted least squares: e' = shift + (s - c) turn.
-
-    With W = sum w, the mean abscissa is c = sum w s / W. The shift is sum w e' / W. Turn:
-    ((sum w s e' / W - c shift) / (sum w s² / W - c² + 1 / (W turn_prior²))).
-    """
-    w, ws, wss, we, wse = sums[:, 0], sums[:, 1], sums[:, 2], sums[:, 3], sums[:, 4]
-    enough = (sums[:, 5] > EXPECTATION.min_hits) & (w > 0)
-    w = np.where(enough, w, 1.0)
-    c = ws / w
-    shift = np.where(enough, we / w, 0.0)
-    variance_along = np.maximum(wss / w - c**2, 0.0)
-    # the prior on the turn, scaled by the weight, keeps faces with few hits from rotating freely
-    prior = 1.0 / (w * EXPECTATION.turn_prior**2)
-    turn = np.where(enough, (wse / w - c * shift) / (variance_along + prior + 1e-9), 0.0)
-    turn = np.clip(turn, -EXPECTATION.max_turn, EXPECTATION.max_turn)
-    normals, tangents = faces.normals, faces.tangents
-    centre = normals * (faces.offsets + shift)[:, None] + tangents * c[:, None]
-    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    turned = cos * normals - sin * tangents  # a turn about the mean abscissa c
-    offsets = (turned * centre).sum(axis=1)
-    moved = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
-    slide = (moved * centre).sum(axis=1) - c
-    edges = faces.edges + np.repeat(np.where(enough, slide, 0.0), np.diff(faces.first))
-    return faces._replace(normals=turned, offsets=offsets, edges=edges)
-
-
-def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNoise:
-    """Estimate range noise and pose noise from e² = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)², by NNLS."""
-    scale = np.sqrt(np.maximum(np.diag(spread[:, :3]), 1e-300))
-    if spread[0, 0] <= 0:
-        return ReturnNoise(sigma=noise.sigma, sigma_xy=noise.sigma_xy, sigma_yaw=noise.sigma_yaw, stray=stray)
-    solution = nnls(spread[:, :3] / scale[:, None] / scale, spread[:, 3] / scale)[0] / scale
-    return ReturnNoise(
-        sigma=float(np.sqrt(max(solution[0], EXPECTATION.min_variance))),
-        sigma_xy=float(np.sqrt(solution[1])),
-        sigma_yaw=float(np.sqrt(solution[2])),
-        stray=stray,
     )
 
 
@@ -291,7 +240,7 @@ def stop_probabilities(i: Any, rays: Any, faces: Any, buckets: Any, noise: Any, 
     march, gamma, survive = work
     r, k, j, _ = march
     ux, uy, z = rays.directions[i, 0], rays.directions[i, 1], rays.ranges[i]
-    reach = rays.range_max if z > 1e300 else z + REACH_MARGIN + REACH_SIGMAS * np.sqrt(noise[0])
+    reach = rays.range_max if z > 1e300 else z + REACH_MARGIN + TAIL * np.sqrt(noise[0])
     n = crossed_faces(rays.origins[i, 0], rays.origins[i, 1], ux, uy, reach, 0.0, faces, buckets, march)
     survival, total, before = 1.0, 0.0, 1.0
     for m in range(n):

@@ -16,7 +16,15 @@ from sensorgraph.models.narmax.noise import RayEstimate, estimate
 from sensorgraph.models.narmax.search import ChosenTerms, SharedMoments
 from sensorgraph.models.narmax.sequences import ScanSequence, held
 from sensorgraph.models.narmax.settings import NARMAX
+from sensorgraph.models.polynomial.support import ROWS_PER_TERM
 from sensorgraph.types import Floats, Ints, Progress
+
+TURN_QUANTILE = 0.95
+"""Quantile of the turns between scans [rad] up to which the neighbours reach."""
+MAX_SEARCH_ROWS = 20_000
+"""Maximum number of scans in the search for terms, evenly spread; coefficients are estimated on all scans."""
+MAX_DROPOUT_MEMORY = 0.98
+"""Maximum increase of the probability of no return after a missing return."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +88,7 @@ def ray_spacing(data: TrainingRows, bearings: Floats, neighbours: int) -> int:
         return 1
     row = data.rows
     turn = np.abs(np.pi - (np.pi - (data.motion.poses[row, 2] - data.motion.poses[row - 1, 2])) % (2 * np.pi))
-    farthest = float(np.quantile(turn, NARMAX.turn_quantile)) / median_step(bearings, np.inf)
+    farthest = float(np.quantile(turn, TURN_QUANTILE)) / median_step(bearings, np.inf)
     most = max(1, min(NARMAX.max_spacing, (len(bearings) - 1) // neighbours))
     return int(np.clip(np.ceil(farthest / neighbours), 1, most))
 
@@ -91,7 +99,7 @@ def fit_rays(
     """Search, estimate and test the terms of every ray; return the arrays of the model by name."""
     n_rays = data.ranges.shape[1]
     readings = ReadingScale.of(data.ranges)
-    step = -(-len(data.rows) // NARMAX.max_search_rows)
+    step = -(-len(data.rows) // MAX_SEARCH_ROWS)
     some = data.rows[::step]
     columns = ReadingColumns(form, readings, data.readings, data.motion, some)
     phi = form.shared.matrix(data.motion.signals(some, form.lags), scale)
@@ -208,12 +216,12 @@ def fit_dropouts(ranges: Floats, phi: Floats, position: Ints) -> tuple[Floats, F
         before = np.r_[True, broken[:-1, ray]]
         use = ~broken[:, ray] & ~before & (position > 0)
         rows = np.column_stack([phi[use], np.r_[False, missing[:-1, ray]][use]])
-        if len(rows) <= NARMAX.rows_per_term:
+        if len(rows) <= ROWS_PER_TERM:
             theta[ray, 0] = missing[:, ray].mean()
             continue
         y = missing[use, ray].astype(np.float64)
-        if len(rows) < NARMAX.rows_per_term * rows.shape[1]:
+        if len(rows) < ROWS_PER_TERM * rows.shape[1]:
             rows[:, 1:-1] = 0.0  # too few rows for terms of the pose
         coefficients = np.linalg.lstsq(rows, y, rcond=None)[0]
-        theta[ray], memory[ray] = coefficients[:-1], np.clip(coefficients[-1], 0.0, NARMAX.max_dropout_memory)
+        theta[ray], memory[ray] = coefficients[:-1], np.clip(coefficients[-1], 0.0, MAX_DROPOUT_MEMORY)
     return theta, memory

@@ -24,14 +24,24 @@ from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.narmax import recursion
 from sensorgraph.models.narmax.equations import equation_text, summary_of
 from sensorgraph.models.narmax.fit import TrainingRows, fit_dropouts, fit_rays, ray_spacing, sequence_of
-from sensorgraph.models.narmax.parameters import FREE_RUN, ONE_STEP, QUANTILES, START, NarmaxParameters
+from sensorgraph.models.narmax.parameters import FREE_RUN, ONE_STEP, START, NarmaxParameters
 from sensorgraph.models.narmax.sequences import ScanSequence
-from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.models.narmax.stored_form import ARRAYS, OPTIONS, form_of, restored
-from sensorgraph.models.polynomial.support import SUPPORT, Support, leverage_root, scale_of, sees_around
+from sensorgraph.models.polynomial.support import (
+    MAX_LEVERAGE,
+    MIN_SIGMA,
+    POSES_PER_BLOCK,
+    QUANTILES,
+    Support,
+    leverage_limit,
+    leverage_root,
+    scale_of,
+    sees_around,
+)
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
-_POSES_AT_A_TIME = 4096
+SCORED_SCANS = 5000
+"""Number of training scans, from the start, whose errors determine the standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +72,8 @@ class RayNarmax(NarmaxParameters):
         static = form.shared[form.static.tolist()]
         phi = static.matrix(data.motion.signals(np.arange(len(scans)), 0), scale, n=len(scans))
         theta_none, memory = fit_dropouts(scans.ranges, phi, data.motion.position)
-        root, limit = leverage_root(phi)
+        root = leverage_root(phi.T @ phi)
+        limit = leverage_limit(((phi @ root) ** 2).sum(axis=1))
         zero = np.zeros((3, scans.sensor.n_rays))
         draft = cls(
             sensor=scans.sensor, form=form, scale=scale, theta_none=theta_none, memory=memory, root=root,
@@ -78,7 +89,7 @@ class RayNarmax(NarmaxParameters):
 
     def _with_residuals(self, scans: TrainingScans) -> Self:
         """Estimate sigma and spread on the first training scans, corrected for the number of terms."""
-        scored = scans.part(slice(0, NARMAX.scored_scans))
+        scored = scans.part(slice(0, SCORED_SCANS))
         motion = sequence_of(scored)
         equations = self.equations(motion)
         after = motion.position >= self.form.lags
@@ -94,7 +105,7 @@ class RayNarmax(NarmaxParameters):
                 free = len(own) - used[kind][ray] * len(own) / max(self.rows[ray], len(own), 1)
                 if free >= 1:
                     grow = np.sqrt(len(own) / free)
-                    sigma[kind, ray] = max(grow * np.sqrt(np.mean(own**2)), NARMAX.min_sigma)
+                    sigma[kind, ray] = max(grow * np.sqrt(np.mean(own**2)), MIN_SIGMA)
                     spread[kind, ray] = grow * np.quantile(own, QUANTILES)
         return replace(self, sigma=sigma, spread=spread)
 
@@ -104,8 +115,8 @@ class RayNarmax(NarmaxParameters):
         chosen, weights = self._driven_terms
         rows = np.flatnonzero(motion.position >= self.form.lags)
         driven = np.zeros((n, self.n_rays))
-        for start in range(0, len(rows), _POSES_AT_A_TIME):
-            some = rows[start : start + _POSES_AT_A_TIME]
+        for start in range(0, len(rows), POSES_PER_BLOCK):
+            some = rows[start : start + POSES_PER_BLOCK]
             signals = motion.signals(some, self.form.lags)
             driven[some] = chosen.matrix(signals, self.scale, n=len(some)) @ weights
         return recursion.Equations(
@@ -163,8 +174,8 @@ class RayNarmax(NarmaxParameters):
         ray, j = np.nonzero(self.start_order >= 0)
         weights[place[self.start_order[ray, j]], ray] = self.start_theta[ray, j]
         out = np.empty((len(poses), self.n_rays))
-        for start in range(0, len(poses), _POSES_AT_A_TIME):
-            some = slice(start, start + _POSES_AT_A_TIME)
+        for start in range(0, len(poses), POSES_PER_BLOCK):
+            some = slice(start, start + POSES_PER_BLOCK)
             out[some] = self._static(poses[some]) @ weights
         return np.clip(out, self.sensor.range_min, self.sensor.range_max)
 
@@ -189,7 +200,7 @@ class RayNarmax(NarmaxParameters):
 
     def _prediction(self, poses: Floats, value: Floats, none: Floats, kind: int, rays: Ints) -> Prediction:
         with np.errstate(over="ignore"):  # the value is limited
-            leverage = np.minimum(((self._static(poses) @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
+            leverage = np.minimum(((self._static(poses) @ self.root) ** 2).sum(axis=1), MAX_LEVERAGE)
         trusted: Bools = (leverage <= self.leverage_limit) & self.support.covers(poses)
         widen = np.sqrt(1.0 + leverage) if kind == START else np.ones(len(poses))
         off = np.stack(

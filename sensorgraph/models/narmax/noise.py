@@ -19,6 +19,13 @@ from scipy.special import chdtrc
 from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.types import Bools, Floats, Ints
 
+TESTED_LAGS = 10
+"""[scans] Number of lags in residual tests."""
+MAX_STEPS, MIN_GAIN = 3, 1e-3
+"""Maximum number of Gauss-Newton steps, from a consistent start, and relative gain of a step below which they end."""
+MAX_ROOT = 0.98
+"""Largest modulus of the roots of the noise polynomial; it avoids slowly decaying residuals."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayEstimate:
@@ -103,7 +110,7 @@ def estimate(phi: Floats, y: Floats, twists: Floats, index: Ints, noise_lags: in
     beta = Q.T @ y
     e = y - Q @ beta
     noise, jacobian = zero, Q
-    if noise_lags and _correlated(e, Q, runs, NARMAX.tested_lags) < NARMAX.test_level:
+    if noise_lags and _correlated(e, Q, runs, TESTED_LAGS) < NARMAX.test_level:
         beta, noise = _prediction_error(Q, y, e, runs, noise_lags)
         e, jacobian = _linearised(Q, y, beta, noise, runs)
         kept = _kept_by_bic(jacobian, e, beta, noise, R)
@@ -143,7 +150,7 @@ def _prediction_error(
     beta = start[:k]
     error, jacobian = _linearised(Q, y, beta, noise, runs)
     cost = float(error @ error)
-    for _ in range(NARMAX.max_steps):
+    for _ in range(MAX_STEPS):
         step = np.linalg.lstsq(jacobian.T @ jacobian, jacobian.T @ error, rcond=None)[0]
         trial = beta + step[:k], _invertible(noise + step[k:])
         new_error, new_jacobian = _linearised(Q, y, *trial, runs)
@@ -152,7 +159,7 @@ def _prediction_error(
             break
         gain = (cost - new) / cost
         (beta, noise), error, jacobian, cost = trial, new_error, new_jacobian, new
-        if gain < NARMAX.converged:
+        if gain < MIN_GAIN:
             break
     plain = float(e @ e)
     return (beta, noise) if cost < plain else (Q.T @ y, np.zeros(noise_lags))
@@ -203,7 +210,7 @@ def _linearised(Q: Floats, y: Floats, beta: Floats, noise: Floats, runs: Stretch
 def _invertible(noise: Floats) -> Floats:
     """Move the roots of C(q) to within the unit circle."""
     roots = np.abs(np.roots(np.r_[1.0, noise])) if noise.any() else np.zeros(1)
-    share = min(1.0, NARMAX.max_root / max(float(roots.max(initial=0.0)), 1e-12))
+    share = min(1.0, MAX_ROOT / max(float(roots.max(initial=0.0)), 1e-12))
     return np.asarray(noise * share ** np.arange(1, len(noise) + 1))
 
 
@@ -214,7 +221,7 @@ def _correlated(e: Floats, G: Floats, runs: Stretches, n_lags: int) -> float:
 
 def _tests(e: Floats, G: Floats, twists: Floats, runs: Stretches) -> Floats:
     past = [e, *(twists - twists.mean(axis=0)).T]
-    return np.array(_multiplier_tests(e, G, past, runs, NARMAX.tested_lags))
+    return np.array(_multiplier_tests(e, G, past, runs, TESTED_LAGS))
 
 
 def _multiplier_tests(

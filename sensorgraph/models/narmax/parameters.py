@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from logs.run import RangeSensor
 from robotmodic_ident import Scale
 from sensorgraph.models.narmax.candidates import NarmaxForm, ReadingScale
 from sensorgraph.models.polynomial.support import Support
 from sensorgraph.types import Floats, Ints
 
-QUANTILES = np.linspace(0.0, 1.0, 33)
-"""Probabilities of the stored quantiles of the absolute residual."""
 START, ONE_STEP, FREE_RUN = range(3)
 """Rows of `sigma` and `spread`: a pose alone, one step ahead, free run."""
 

@@ -19,9 +19,11 @@ import numpy as np
 from robotmodic_ident.selection.criteria import information, penalties
 from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE, EPSILON, TIE_TOLERANCE
 from sensorgraph.models.narmax.candidates import NarmaxForm, ReadingColumns
-from sensorgraph.models.narmax.settings import NARMAX
+from sensorgraph.models.polynomial.support import ROWS_PER_TERM
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
+RAYS_PER_BLOCK = 32
+"""Number of rays processed at a time; it limits memory."""
 CRITERION = "ebic"
 """Criterion for the number of terms; EBIC penalises the number of possible models (Chen and Chen 2008)."""
 
@@ -70,7 +72,7 @@ class SharedMoments:
 
     def searches(self, *, is_static: bool, progress: Progress | None = None) -> Iterator[ChosenTerms]:
         """Yield the terms of each ray; with `is_static`, only terms of the current pose are candidates."""
-        step = NARMAX.rays_per_block
+        step = RAYS_PER_BLOCK
         for first in range(0, self.n_rays, step):
             rays = range(first, min(first + step, self.n_rays))
             if is_static:
@@ -156,7 +158,7 @@ def forward_selection(problem: _Problem, n_max: int, order: Ints) -> ChosenTerms
     order : (m,) Canonical order of the candidates, which decides ties; the constant is candidate 0.
     """
     m = len(problem.diagonal)
-    n_max = max(1, min(n_max, m, problem.count // NARMAX.rows_per_term))
+    n_max = max(1, min(n_max, m, problem.count // ROWS_PER_TERM))
     norm = np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, 1.0))
     remaining = np.where(problem.diagonal > 0, 1.0, 0.0)  # remaining squared norm
     b = problem.cross / norm

@@ -12,11 +12,11 @@ from logs.run import RangeSensor
 from robotmodic_ident import Scale
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.narmax.candidates import NarmaxForm, ReadingScale, form_from
-from sensorgraph.models.narmax.parameters import QUANTILES
+from sensorgraph.models.narmax.fit import MAX_DROPOUT_MEMORY
 from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.models.polynomial.complexity import Auto
 from sensorgraph.models.polynomial.stored_form import check_order, check_scale
-from sensorgraph.models.polynomial.support import Support
+from sensorgraph.models.polynomial.support import QUANTILES, Support
 from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Ints
 
@@ -53,7 +53,7 @@ def restored(
     _check_neighbours(form, arrays["order"], m)
     for name in ("rows", "sigma", "spread"):
         check_range(name, arrays[name], 0)
-    check_range("memory", arrays["memory"], 0, NARMAX.max_dropout_memory)
+    check_range("memory", arrays["memory"], 0, MAX_DROPOUT_MEMORY)
     check_range("tests", arrays["tests"], -1, 1)
     scale = Scale.from_dict(header["scale"])
     check_scale(scale, form.degree)
@@ -83,7 +83,7 @@ def form_of(options: Mapping[str, Any]) -> NarmaxForm:
             f"option {', '.join(sorted(unknown))} is not known to the model narmax; expected {', '.join(OPTIONS)}"
         )
     chosen = {name: options.get(name, "auto") for name in OPTIONS}
-    default = {name: getattr(NARMAX, "max_terms" if name == "n_terms" else name) for name in OPTIONS}
+    default = {name: getattr(NARMAX, name) for name in OPTIONS}
     form = NarmaxForm(spacing=1, **{name: default[name] if v == "auto" else v for name, v in chosen.items()})
     try:
         return check_form(form)

@@ -13,11 +13,19 @@ from robotmodic_ident.selection.forward import forward, invert_upper
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
+from sensorgraph.models.stretches import N_FOLDS, N_STRETCHES
 from sensorgraph.types import Floats, Ints, Progress
 
 Auto = int | Literal["auto"]
 
-FORM = POLYNOMIAL.form
+MAX_RAYS, MAX_SCANS = 16, 3000
+"""Maximum numbers of rays and scans used in the selection, evenly spread."""
+SCANS_PER_CANDIDATE = 8
+"""Minimum number of training scans per candidate term."""
+MAX_ERROR_RATIO = 0.99
+"""A form with more candidates must reduce the error to less than this share."""
+EVERY_SIZE_TO = 12
+"""Every number of terms is tried up to this one, then steps of a fifth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,19 +77,19 @@ def select_form(
             progress(k, len(forms))
         sizes, errors = table.errors(dictionary(d, h), None if n_terms == "auto" else n_terms)
         least = int(np.argmin(errors))
-        if errors[least] < FORM.max_error_ratio * best[0]:
+        if errors[least] < MAX_ERROR_RATIO * best[0]:
             best = (float(errors[least]), d, h, int(sizes[least]))
     error, d, h, size = best
-    how = f"mean error {error:.3f} m on {FORM.folds} x {FORM.stretches // FORM.folds} held-out stretches of the training scans"
+    how = f"mean error {error:.3f} m on {N_FOLDS} x {N_STRETCHES // N_FOLDS} held-out stretches of the training scans"
     return PolynomialForm(degree=d, harmonics=h, n_terms=size, how=how)
 
 
 def _forms(n: int, degree: Auto, harmonics: Auto) -> list[tuple[int, int]]:
     """Return the pairs (degree, harmonics) that n scans support, in the order of the number of candidates."""
-    degrees = range(1, FORM.max_degree + 1) if degree == "auto" else [degree]
-    waves = range(FORM.max_harmonics + 1) if harmonics == "auto" else [harmonics]
+    degrees = range(1, POLYNOMIAL.max_degree + 1) if degree == "auto" else [degree]
+    waves = range(POLYNOMIAL.max_harmonics + 1) if harmonics == "auto" else [harmonics]
     forms = sorted(((d, h) for d in degrees for h in waves), key=lambda f: (n_candidates(*f), f))
-    limit = min(FORM.max_candidates, n // FORM.scans_per_candidate)
+    limit = min(POLYNOMIAL.max_candidates, n // SCANS_PER_CANDIDATE)
     return [f for f in forms if n_candidates(*f) <= limit] or forms[:1]
 
 
@@ -96,18 +104,16 @@ class _Folds:
                 "no ray of any training scan returned a range; record where the sensor sees something"
             )
         rays = returning[
-            np.unique(np.linspace(0, len(returning) - 1, min(FORM.max_rays, q)).round().astype(np.intp))
+            np.unique(np.linspace(0, len(returning) - 1, min(MAX_RAYS, q)).round().astype(np.intp))
         ]
-        some = np.unique(
-            np.linspace(0, len(scans) - 1, min(FORM.max_scans, len(scans))).round().astype(np.intp)
-        )
+        some = np.unique(np.linspace(0, len(scans) - 1, min(MAX_SCANS, len(scans))).round().astype(np.intp))
         poses, ranges = scans.poses[some], scans.ranges[np.ix_(some, rays)]
         self.terms = terms
         self.limits = (scans.sensor.range_min, scans.sensor.range_max)
         self.y: Floats = np.where(np.isfinite(ranges), ranges, np.nan)
         self.phi = terms.matrix({"x": poses[:, 0], "y": poses[:, 1], "phi": poses[:, 2]}, scale)
-        fold = np.arange(len(some)) * FORM.stretches // len(some) % FORM.folds
-        self.held: list[Ints] = [np.flatnonzero(fold == f) for f in range(FORM.folds)]
+        fold = np.arange(len(some)) * N_STRETCHES // len(some) % N_FOLDS
+        self.held: list[Ints] = [np.flatnonzero(fold == f) for f in range(N_FOLDS)]
         parts = [Moments(terms, len(rays), scale=scale).add_rows(self.phi[h], self.y[h]) for h in self.held]
         total = parts[0]
         for part in parts[1:]:
@@ -119,7 +125,7 @@ class _Folds:
         place = {name: i for i, name in enumerate(self.terms.names)}
         index = np.array([place[name] for name in terms.names])
         sizes = (
-            _sizes(min(len(terms), FORM.max_terms))
+            _sizes(min(len(terms), POLYNOMIAL.max_terms))
             if n_terms is None
             else np.array([min(n_terms, len(terms))])
         )
@@ -144,7 +150,7 @@ class _Folds:
         """Stack all folds and rays: Gram matrices (one per fold, or per fold and ray), cross, power, fold, ray."""
         square = np.ix_(index, index)
         n_rays = self.y.shape[1]
-        fold, ray = np.repeat(np.arange(FORM.folds), n_rays), np.tile(np.arange(n_rays), FORM.folds)
+        fold, ray = np.repeat(np.arange(N_FOLDS), n_rays), np.tile(np.arange(n_rays), N_FOLDS)
         cross = np.concatenate([m.cross[index] for m in self.moments], axis=1)
         power = np.concatenate([m.power for m in self.moments])
         known = np.concatenate([m.count for m in self.moments]) > 0
@@ -158,7 +164,7 @@ class _Folds:
 
 def _sizes(n_max: int) -> Ints:
     """Return the numbers of terms to try: all small numbers, then steps of a fifth."""
-    sizes = list(range(1, min(n_max, FORM.every_size_to) + 1))
+    sizes = list(range(1, min(n_max, EVERY_SIZE_TO) + 1))
     while sizes[-1] < n_max:
         sizes.append(min(n_max, sizes[-1] + sizes[-1] // 5))
     return np.array(sizes, dtype=np.intp)

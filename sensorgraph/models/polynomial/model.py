@@ -23,16 +23,24 @@ from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingSca
 from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, n_candidates, select_form
-from sensorgraph.models.polynomial.settings import POLYNOMIAL
 from sensorgraph.models.polynomial.stored_form import check_order, check_scale
-from sensorgraph.models.polynomial.support import Support, leverage_limit, scale_of, sees_around
+from sensorgraph.models.polynomial.support import (
+    MAX_LEVERAGE,
+    MIN_SIGMA,
+    POSES_PER_BLOCK,
+    QUANTILES,
+    ROWS_PER_TERM,
+    Support,
+    leverage_limit,
+    leverage_root,
+    scale_of,
+    sees_around,
+)
 from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
-SUPPORT = POLYNOMIAL.support
-POSES_PER_BLOCK = POLYNOMIAL.poses_per_block
-QUANTILES = np.linspace(0.0, 1.0, POLYNOMIAL.n_quantiles)
-"""Probabilities of the stored quantiles of the absolute residual."""
+MAX_GRAM_NUMBERS = 1 << 23
+"""Maximum number of entries (64 MB) of the Gram matrices with missing returns; more rays take several passes."""
 
 
 def dictionary(degree: int, harmonics: int) -> Terms:
@@ -141,7 +149,7 @@ class Polynomial:
                 sigma[i], spread[i] = span, np.linspace(0, span, len(QUANTILES))
                 continue
             grow = np.sqrt(len(size) / free)
-            sigma[i] = max(grow * np.sqrt(np.mean(size**2)), SUPPORT.min_sigma)
+            sigma[i] = max(grow * np.sqrt(np.mean(size**2)), MIN_SIGMA)
             spread[i] = grow * np.quantile(size, QUANTILES)
         return type(self)(**{**self.__dict__, "sigma": sigma, "spread": spread})
 
@@ -160,7 +168,7 @@ class Polynomial:
             value[rows] = self._clip(phi @ self.theta[rays].T)
             none[rows] = np.clip(phi @ self.theta_none[rays].T, least, 1.0 - least)
             with np.errstate(over="ignore"):  # the value is limited
-                leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), SUPPORT.max_leverage)
+                leverage = np.minimum(((phi @ self.root) ** 2).sum(axis=1), MAX_LEVERAGE)
             widen = np.sqrt(1.0 + leverage)
             sigma[rows] = self.sigma[rays] * widen[:, None]
             for j, ray in enumerate(rays.tolist()):
@@ -310,7 +318,7 @@ def _select_all(
             "no ray of any training scan returned a range; record where the sensor sees something"
         )
     out["theta"][:, terms.names.index("1")] = np.where(out["returns"] > 0, 0.0, scans.sensor.range_max)
-    step = max(1, min(q, POLYNOMIAL.max_gram_numbers // (2 * m * m))) if scans.ray_poses is None else 1
+    step = max(1, min(q, MAX_GRAM_NUMBERS // (2 * m * m))) if scans.ray_poses is None else 1
     total = -(-n // POSES_PER_BLOCK) * -(-q // step)
     done = 0
     gram = np.zeros((m, m))
@@ -353,7 +361,7 @@ def _poses(scans: TrainingScans, rays: slice, rows: slice) -> Floats:
 
 def _by_size(count: NDArray[np.int64], k: int) -> list[tuple[Ints, int]]:
     """Group outputs by the number of terms that their data support: `k`, or the mean alone with too few rows."""
-    rows = POLYNOMIAL.form.rows_per_term * k
+    rows = ROWS_PER_TERM * k
     rich, poor = np.flatnonzero(count >= rows), np.flatnonzero((count < rows) & (count > 0))
     return [(few, size) for few, size in ((rich, k), (poor, 1)) if len(few)]
 
@@ -368,13 +376,8 @@ def _store(out: dict[str, Any], rays: Ints, picked: Selection) -> None:
 
 
 def _leverage(scans: TrainingScans, terms: Terms, scale: Scale, gram: Floats) -> tuple[Floats, float]:
-    """Return W with W W' = (Φ'Φ)⁻¹, and the leverage above which a pose is an extrapolation.
-
-    Directions in which the poses never varied keep a tiny variance, so that the leverage of a pose off them is huge.
-    """
-    values, vectors = np.linalg.eigh(gram)
-    root = vectors / np.sqrt(np.maximum(values, SUPPORT.min_eigenvalue * values[-1]))
-    parts = []
+    """Return W with W W' = (Φ'Φ)⁻¹, and the leverage above which a pose is an extrapolation."""
+    root, parts = leverage_root(gram), []
     for start in range(0, len(scans), POSES_PER_BLOCK):
         phi = terms.matrix(columns(scans.poses[start : start + POSES_PER_BLOCK]), scale)
         parts.append(((phi @ root) ** 2).sum(axis=1))

@@ -19,7 +19,26 @@ from sensorgraph.types import Bools, Floats
 
 CellKeys = NDArray[np.int64]
 
-SUPPORT = POLYNOMIAL.support
+N_SECTORS = 8
+"""Number of heading sectors."""
+MIN_SUPPORTED = 0.95
+"""Minimum share of the training poses that their neighbours support, for a cell size to be sufficient."""
+FULL_CIRCLE = 1.95 * np.pi
+"""[rad] Field of view above which the sensor sees all around."""
+LEVERAGE_QUANTILE, LEVERAGE_FACTOR = 0.995, 2.0
+"""A pose is an extrapolation above this multiple of that quantile of the leverage of training poses, each as if it were new."""
+MAX_LEVERAGE = 1e12
+"""Upper limit of the leverage that widens a standard deviation."""
+MIN_EIGENVALUE = 1e-10
+"""Lower limit of the eigenvalues of the Gram matrix relative to the largest: precision of unvaried directions."""
+MIN_SIGMA = 1e-6
+"""[m] Lower limit of a ray's standard deviation."""
+ROWS_PER_TERM = 5
+"""Minimum number of returns per term of a ray; with fewer it has fewer terms, at least the mean."""
+POSES_PER_BLOCK = 4096
+"""Number of poses processed at a time; it limits memory."""
+QUANTILES = np.linspace(0.0, 1.0, 33)
+"""Probabilities of the stored quantiles of the absolute residual."""
 _KEY_SPAN = 1 << 28  # number of cells along an axis that a key distinguishes
 
 
@@ -39,13 +58,13 @@ class Support:
     @classmethod
     def of(cls, poses: Floats, *, sees_around: bool) -> Support:
         """Choose the smallest cell size for which enough of the poses (n, 3) have neighbours."""
-        n_sectors = 1 if sees_around else SUPPORT.n_sectors
+        n_sectors = 1 if sees_around else N_SECTORS
         origin = poses[:, :2].min(axis=0)
-        for cell in SUPPORT.cell_sizes:
+        for cell in POLYNOMIAL.cell_sizes:
             keys, counts = np.unique(_keys(_cells(poses, cell, origin, n_sectors)), return_counts=True)
             support = cls(cell=cell, n_sectors=n_sectors, origin=origin, keys=keys)
             near = support._near(poses, counts) > 1  # another pose in addition to itself
-            if near.mean() >= SUPPORT.min_supported:
+            if near.mean() >= MIN_SUPPORTED:
                 break
         return support
 
@@ -86,7 +105,7 @@ class Support:
         origin = np.array(header["origin"], dtype=np.float64)
         check_shape("the support's origin", origin, (2,))
         check_positive("the support's cell", header["cell"])
-        check_range("n_sectors", header["n_sectors"], 1, SUPPORT.n_sectors)
+        check_range("n_sectors", header["n_sectors"], 1, N_SECTORS)
         return cls(
             cell=float(header["cell"]),
             n_sectors=int(header["n_sectors"]),
@@ -95,21 +114,20 @@ class Support:
         )
 
 
-def leverage_root(phi: Floats) -> tuple[Floats, float]:
-    """Return W (m, m) with W W' = (Φ'Φ)⁻¹ for phi (n, m), and the leverage above which a pose is an extrapolation.
+def leverage_root(gram: Floats) -> Floats:
+    """Return W (m, m) with W W' = (Φ'Φ)⁻¹ from the Gram matrix Φ'Φ (m, m): the leverage of a pose is |φ W|².
 
     Directions in which the poses never varied keep a tiny variance, so that the leverage of a pose off them is huge.
     """
-    values, vectors = np.linalg.eigh(phi.T @ phi)
-    root = vectors / np.sqrt(np.maximum(values, SUPPORT.min_eigenvalue * values[-1]))
-    return root, leverage_limit(((phi @ root) ** 2).sum(axis=1))
+    values, vectors = np.linalg.eigh(gram)
+    return np.asarray(vectors / np.sqrt(np.maximum(values, MIN_EIGENVALUE * values[-1])))
 
 
 def leverage_limit(leverage: Floats) -> float:
     """Return the leverage above which a pose is an extrapolation, from the leverages (n,) of the training poses."""
     h = np.minimum(leverage, 1.0 - 1e-9)
     # h / (1 - h) is the leverage that a training pose would have as a new pose
-    return float(SUPPORT.leverage_factor * np.quantile(h / (1.0 - h), SUPPORT.leverage_quantile))
+    return float(LEVERAGE_FACTOR * np.quantile(h / (1.0 - h), LEVERAGE_QUANTILE))
 
 
 def scale_of(scans: TrainingScans) -> Scale:
@@ -123,7 +141,7 @@ def scale_of(scans: TrainingScans) -> Scale:
 def sees_around(sensor: RangeSensor) -> bool:
     """Return whether a sensor sees all around, so that the observed space does not depend on its heading."""
     step = np.diff(sensor.bearings).mean() if sensor.n_rays > 1 else 0.0
-    return bool(np.ptp(sensor.bearings) + step > SUPPORT.full_circle)
+    return bool(np.ptp(sensor.bearings) + step > FULL_CIRCLE)
 
 
 def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> CellKeys:
@@ -137,6 +155,4 @@ def _cells(poses: Floats, cell: float, origin: Floats, n_sectors: int) -> CellKe
 
 def _keys(cells: CellKeys) -> CellKeys:
     shifted = cells[:, :2] + _KEY_SPAN // 2
-    return np.asarray(
-        (shifted[:, 0] * _KEY_SPAN + shifted[:, 1]) * SUPPORT.n_sectors + cells[:, 2], dtype=np.int64
-    )
+    return np.asarray((shifted[:, 0] * _KEY_SPAN + shifted[:, 1]) * N_SECTORS + cells[:, 2], dtype=np.int64)
