@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,9 +18,8 @@ import numpy as np
 import benchmarks.fuzz.structure
 from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.fuzz.structure import drives
-from benchmarks.fuzz.structure.cases import case, draft_of, jobs_of
-from benchmarks.fuzz.structure.judge import Outcome
-from benchmarks.fuzz.structure.kinds import KINDS
+from benchmarks.fuzz.structure.judge import Outcome, look
+from benchmarks.fuzz.structure.kinds import KINDS, draft_of
 from benchmarks.fuzz.structure.writers import write
 
 WORST = 25
@@ -60,6 +60,13 @@ def table(results: Sequence[Outcome]) -> list[str]:
     return lines
 
 
+def case(job: tuple[str, int], seed: int) -> Outcome:
+    """Make, write, read and judge one log of a kind; for a pool of processes."""
+    draft, in_memory = draft_of(*job, seed), Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=in_memory if in_memory.is_dir() else None) as base:
+        return look(draft, write(draft, Path(base) / "log"), *job)
+
+
 def main() -> int:
     """Fuzz, print a table, and return 1 if anything crashed or was silently wrong."""
     parser = parser_of(benchmarks.fuzz.structure.__doc__)
@@ -80,7 +87,10 @@ def main() -> int:
     names = [
         name for name in KINDS if not given.only or any(fnmatchcase(name, p) for p in given.only.split(","))
     ]
-    jobs = list(jobs_of(names, given.n)) if given.number is None else [(name, given.number) for name in names]
+    turns = range(
+        given.n if given.number is None else len(names)
+    )  # the kinds in turn, each time with another number
+    jobs = [(names[k % len(names)], k // len(names) if given.number is None else given.number) for k in turns]
     for name in drives.NAMES:
         drives.load(name)
     if given.logs is not None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
+
+import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft
 from benchmarks.fuzz.structure.kinds_clocks import CLOCKS
@@ -50,3 +53,8 @@ KINDS: dict[str, Kind] = {
     **{f"nodes.{name}": kind for name, kind in NODES.items()},
 }
 """Name -> what makes one log of it."""
+
+
+def draft_of(name: str, number: int, seed: int) -> Draft:
+    """Make one log of a kind."""
+    return KINDS[name](Start(np.random.default_rng([seed, number, zlib.crc32(name.encode())])))

@@ -5,104 +5,51 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import EPOCH, Draft
-from benchmarks.fuzz.structure.start import Start, named, of
+from benchmarks.fuzz.structure.start import (
+    Kind,
+    Start,
+    contents,
+    kept,
+    kind,
+    named,
+    of,
+    readings,
+    stamps,
+)
 
-LENGTHS = {"mm": 1000.0, "cm": 100.0}
-TIMES = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+LENGTHS = (1000.0, 100.0)
+"""Millimetres and centimetres of a metre."""
+TIMES = (1e3, 1e6, 1e9)
+"""Milliseconds, microseconds and nanoseconds of a second."""
+ANGLES = ("angle_min", "angle_max", "angle_increment")
 
 
-def ranges_unit(start: Start, draft: Draft) -> None:
-    factor = start.pick(list(LENGTHS.values()))
-    for reading in draft.readings:
-        for name in ("ranges", "range_min", "range_max"):
-            reading[name] = reading[name] * factor
-    draft.said = "millimet|centimet"
-    draft.usable = False
-
-
-@of(reference=0.0)
+@of(reference=0.0, said="odometry|distance")
 def odometry_unit(start: Start, draft: Draft) -> None:
-    factor = start.pick(list(LENGTHS.values()))
-    for item in draft.items:
-        if item.kind == "Odometry":
-            item.content["pose"] = item.content["pose"] * np.r_[[factor] * 3, np.ones(4)]
-            item.content["twist"] = item.content["twist"] * np.r_[[factor] * 3, np.ones(3)]
-    draft.edges(lambda a, b, v: [(a, b, v * np.r_[[factor] * 3, np.ones(4)])], child="base_link")
-    draft.said = "odometry|distance"
+    factor, lengths = start.pick(LENGTHS), np.r_[np.ones(3), np.zeros(4)].astype(bool)
+    scale = np.where(lengths, factor, 1.0)
+    contents(("/odom",), lambda c: {"pose": c["pose"] * scale, "twist": c["twist"] * scale[:6]})(start, draft)
+    draft.edges(lambda a, b, v: [(a, b, v * scale)], child="base_link")
     draft.expects = set()
-
-
-@of(reference=1.0)
-def pose_unit(start: Start, draft: Draft) -> None:
-    factor = start.pick(list(LENGTHS.values()))
-    for item in draft.on("/pose"):
-        item.content["pose"] = item.content["pose"] * np.r_[[factor] * 3, np.ones(4)]
-    draft.said = "pose"
 
 
 @of(reference=0.0)
 def odometry_scale(start: Start, draft: Draft) -> None:
     """Wheels of another radius or base than the driver has."""
     way, turn = start.pick((0.5, 0.9, 1.1, 2.0)), start.pick((0.8, 0.95, 1.0, 1.2))
-    steps = np.diff(draft.drive.odometry, axis=0, prepend=draft.drive.odometry[:1])
-    forward = (
-        np.cos(draft.drive.odometry[:, 2]) * steps[:, 0] + np.sin(draft.drive.odometry[:, 2]) * steps[:, 1]
-    )
-    phi = turn * draft.drive.odometry[:, 2]
+    odometry = draft.drive.odometry
+    steps, old, phi = np.diff(odometry, axis=0, prepend=odometry[:1]), odometry[:, 2], turn * odometry[:, 2]
+    forward = np.cos(old) * steps[:, 0] + np.sin(old) * steps[:, 1]
     xy = np.cumsum(way * forward[:, None] * np.column_stack([np.cos(phi), np.sin(phi)]), axis=0)
     draft.state(np.column_stack([xy, phi]))
-    for item in draft.on("/odom"):
-        item.content["twist"] = item.content["twist"] * [way, 1, 1, 1, 1, turn]
-
-
-@of(reference=0.0)
-def odometry_backwards(start: Start, draft: Draft) -> None:
-    """An encoder counts the other way, so that driving ahead counts as back."""
-    draft.drop("/tf")
-    for item in draft.on("/odom"):
-        item.content["pose"] = item.content["pose"] * [-1, -1, 1, 1, 1, 1, 1]
-        item.content["twist"] = item.content["twist"] * [-1, 1, 1, 1, 1, 1]
-    draft.usable = False  # it may as well be the laser that looks backwards
-    draft.said = "odometry|distance|wheel|turned|laser"
-
-
-def degrees(start: Start, draft: Draft) -> None:
-    for reading in draft.readings:
-        for name in ("angle_min", "angle_max", "angle_increment"):
-            reading[name] = np.degrees(reading[name])
-    draft.said = "degrees"
-
-
-@of(spins=True)
-def increment_unit(start: Start, draft: Draft) -> None:
-    factor = start.pick(list(TIMES.values()))
-    names = start.pick((("time_increment",), ("scan_time",), ("time_increment", "scan_time")))
-    for reading in draft.readings:
-        for name in names:
-            reading[name] *= factor
-    draft.said = "milliseconds|microseconds|nanoseconds|rescaled|was used"
+    contents(("/odom",), lambda c: {"twist": c["twist"] * [way, 1, 1, 1, 1, turn]})(start, draft)
 
 
 def stamp_unit(start: Start, draft: Draft) -> None:
-    factor = 1 / start.pick(list(TIMES.values())) if start.chance() else start.pick((1e3,))
-    topics = start.pick((("/scan",), ("/odom",), ("/scan", "/odom", "/tf", "/pose")))
-    for item in draft.items:
-        if item.topic in topics:
-            item.stamp = (item.stamp + 100.0) * factor - EPOCH
+    factor = 1 / start.pick(TIMES) if start.chance() else 1e3
+    choices = (("/scan",), ("/odom",), ("/scan", "/odom", "/tf", "/pose"))
+    stamps(choices, lambda t: (t + 100.0) * factor - EPOCH)(start, draft)
     draft.said = "seconds|rescaled|clock|stamps"
-
-
-def limits(start: Start, draft: Draft) -> None:
-    usual = ((0.0, 0.0), (0.05, np.inf), (np.nan, np.nan), (0.05, 1e6))
-    low, high = start.pick((*usual, (12.0, 0.05), (0.0, 12.0), (-1.0, 12.0), (0.05, 3.0)))
-    for reading in draft.readings:
-        reading |= {"range_min": low, "range_max": high}
-
-
-def scan_time(start: Start, draft: Draft) -> None:
-    value = start.pick((0.0, np.nan, -0.1, 1e9, 0.025, np.inf))
-    for reading in draft.readings:
-        reading["scan_time"] = value
 
 
 def no_return_code(start: Start) -> Draft:
@@ -137,13 +84,25 @@ def intensities(start: Start, draft: Draft) -> None:
         }[form]  # fmt: skip
 
 
-def coarse_ranges(start: Start, draft: Draft) -> None:
-    step = start.pick((0.01, 0.05))
-    for reading in draft.readings:
-        reading["ranges"] = np.round(reading["ranges"] / step) * step
-
-
-UNITS = named(
-    ranges_unit, odometry_unit, pose_unit, odometry_scale, odometry_backwards, degrees, increment_unit,
-    stamp_unit, limits, scan_time, no_return_code, error_codes, intensities, coarse_ranges,
-)  # fmt: skip
+# fmt: off
+UNITS: dict[str, Kind] = {
+    "ranges_unit": kind(readings(lambda c, factor: {name: c[name] * factor for name in ("ranges", "range_min", "range_max")}, LENGTHS),
+                        said="millimet|centimet", usable=False),
+    "pose_unit": kind(contents(("/pose",), lambda c, factor: {"pose": c["pose"] * np.r_[[factor] * 3, np.ones(4)]}, LENGTHS),
+                      reference=1.0, said="pose"),
+    # an encoder counts the other way; it may as well be the laser that looks backwards
+    "odometry_backwards": kind(
+        kept(lambda item: item.topic != "/tf"),
+        contents(("/odom",), lambda c: {"pose": c["pose"] * [-1, -1, 1, 1, 1, 1, 1], "twist": c["twist"] * [-1, 1, 1, 1, 1, 1]}),
+        reference=0.0, usable=False, said="odometry|distance|wheel|turned|laser"),
+    "degrees": kind(readings(lambda c: {name: np.degrees(c[name]) for name in ANGLES}), said="degrees"),
+    "increment_unit": kind(readings(lambda c, factor, names: {name: c[name] * factor for name in names}, TIMES,
+                                    (("time_increment",), ("scan_time",), ("time_increment", "scan_time"))),
+                           spins=True, said="milliseconds|microseconds|nanoseconds|rescaled|was used"),
+    "limits": kind(readings(lambda c, limits: {"range_min": limits[0], "range_max": limits[1]}, (
+        (0.0, 0.0), (0.05, np.inf), (np.nan, np.nan), (0.05, 1e6), (12.0, 0.05), (0.0, 12.0), (-1.0, 12.0), (0.05, 3.0)))),
+    "scan_time": kind(readings(lambda c, value: {"scan_time": value}, (0.0, np.nan, -0.1, 1e9, 0.025, np.inf))),
+    "coarse_ranges": kind(readings(lambda c, step: {"ranges": np.round(c["ranges"] / step) * step}, (0.01, 0.05))),
+    **named(odometry_unit, odometry_scale, stamp_unit, no_return_code, error_codes, intensities),
+}
+# fmt: on
