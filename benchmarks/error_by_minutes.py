@@ -1,6 +1,6 @@
 """What driving buys: error of the graph against minutes driven, for ways of driving with one robot in one place.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes [--arena office] [--seed 1] [--out docs/pages/pictures/error_by_minutes.png]
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes [--arena office] [--seed 1]
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes --arena office 1001 1002 1003 1004 1005 --ways anytime views "wall following"
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.error_by_minutes --arena floor.geojson@5.4,16.8 --ways anytime views
 
@@ -11,9 +11,8 @@ starts. With `--keep FILE` each result is kept there and not driven again, and m
 
 Each way is planned, driven by the embedded robot (lag, slip, noise of robot.yaml) and scanned; graphs are built from
 its first minutes. A graph is asked for 1,000 fresh poses spread evenly over the floor and all headings. `views` are
-planned for each length anew, since a tour is worth most at its end; the others are one drive, cut. The next run is
-planned by what a graph of the first five minutes (coverage, 1 m cells) does not know: coverage with that priority, or
-views of what it does not answer. With `--thin` n only every n-th scan is built from.
+planned for each length anew, since a tour is worth most at its end; the others are one drive, cut. With `--thin` n only
+every n-th scan is built from.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ import numpy as np
 
 from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.drives import drive_and_log
-from benchmarks.error_tables import ALL_MINUTES, DriveScore, picture, single_places, summary
+from benchmarks.error_tables import ALL_MINUTES, DriveScore, single_places, summary
 from benchmarks.places import arena_named
-from logs.run import Run, pair
+from logs.run import Run
 from planners import plan
 from planners.arena import Arena
 from planners.clearance import Barriers
@@ -40,14 +39,10 @@ from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.demo import N_CHECK_POSES, check_run
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
-from sensorgraph.graph import Sensorgraph
-from sensorgraph.planning.priority import uncertainty
 from sensorgraph.planning.survey import survey_of
 from sensorgraph.planning.views import views_within
 from sensorgraph.world.robot import Robot, default_robot
 
-FIRST_MINUTES = 5.0
-"""[min] after which the next run is planned by what the graph does not know."""
 SECONDS_A_VIEW = 8.0
 """Of a tour, to start with; the number of views is then set by how long that tour took."""
 
@@ -83,24 +78,14 @@ class Place:
         )  # fmt: skip
         return self.scanned(made.trajectory, minutes)
 
-    def by_doubt(self, graph: Sensorgraph, start: Floats, minutes: float) -> Run:
-        """Drive on from `start` (3,), first where the graph knows least."""
-        made = plan(
-            self.arena, self.robot, cell=1.0, seed=self.seed, rate=self.robot.sensor.rate, start=start,
-            priority=partial(uncertainty, graph),
-        )  # fmt: skip
-        return self.scanned(made.trajectory, minutes)
-
-    def tour(self, minutes: float, graph: Sensorgraph | None = None, start: Floats | None = None) -> Run:
+    def tour(self, minutes: float) -> Run:
         """Drive through as many views as fit in the minutes."""
 
         def through(n: int) -> Trajectory:
-            choose = partial(
-                views_within, n=n, arena=self.arena, sensor=self.robot.sensor, graph=graph, seed=self.seed
-            )
+            choose = partial(views_within, n=n, arena=self.arena, sensor=self.robot.sensor, seed=self.seed)
             return plan(
                 self.arena, self.robot, planner="views", seed=self.seed, rate=self.robot.sensor.rate,
-                start=self.start if start is None else start, targets=choose,
+                start=self.start, targets=choose,
             ).trajectory  # fmt: skip
 
         n = max(round(60 * minutes / SECONDS_A_VIEW), 1)
@@ -124,41 +109,16 @@ def ways(place: Place) -> dict[str, Drive]:
     """Return the ways of driving that are compared."""
     most = max(ALL_MINUTES)
 
-    def one_drive(planner: str, cell: float) -> Drive:
-        whole = cache(lambda: place.planned(planner, cell, most))
+    def cut(drive: Callable[[float], Run]) -> Drive:
+        whole = cache(lambda: drive(most))
         return lambda minutes: [place.cut(whole(), minutes)]
 
-    @cache
-    def start() -> tuple[Run, Sensorgraph]:
-        runs = coarse(FIRST_MINUTES)
-        return runs[0], build(runs)
-
-    def then(next_run: Callable[[Sensorgraph, Floats, float], Run]) -> Drive:
-        def both(minutes: float) -> list[Run]:
-            if minutes <= FIRST_MINUTES:
-                return coarse(minutes)
-            run, graph = start()
-            here = pair(run).poses[-1]
-            return [run, place.cut(next_run(graph, here, minutes - FIRST_MINUTES), minutes - FIRST_MINUTES)]
-
-        return both
-
-    @cache
-    def in_any_time() -> Run:
-        return place.anytime(most)
-
-    coarse = one_drive("coverage", 1.0)
     return {
-        "anytime": lambda minutes: [place.cut(in_any_time(), minutes)],
+        "anytime": cut(place.anytime),
         "views": lambda minutes: [place.cut(place.tour(minutes), minutes)],
-        "coverage, 1 m cells": coarse,
-        "5 min so, then coverage by doubt": then(place.by_doubt),
-        "5 min so, then views by doubt": then(
-            lambda graph, here, minutes: place.tour(minutes, graph=graph, start=here)
-        ),
-        "coverage, 0.25 m cells": one_drive("coverage", 0.25),
-        "random bounce": one_drive("random_bounce", 0.25),
-        "wall following": one_drive("wall_following", 0.25),
+        "coverage, 1 m cells": cut(partial(place.planned, "coverage", 1.0)),
+        "random bounce": cut(partial(place.planned, "random_bounce", 0.25)),
+        "wall following": cut(partial(place.planned, "wall_following", 0.25)),
     }
 
 
@@ -202,7 +162,7 @@ def check_of(place: Place) -> Run:
 
 
 def main() -> None:
-    """Drive, build, ask; print a table and draw it."""
+    """Drive, build, ask; print a table, and draw what is kept."""
     parser = parser_of(__doc__)
     parser.add_argument("--arena", nargs="+", default=["office"])
     parser.add_argument("--ways", nargs="*", help="some of the ways; default: all")
@@ -212,14 +172,13 @@ def main() -> None:
         "--keep", type=Path, help="file of results so far, a line each; what it holds is not driven again"
     )
     parser.add_argument("--table", action="store_true", help="only the means of what is kept")
-    parser.add_argument("--out", type=Path, default=Path("docs/pages/pictures/error_by_minutes.png"))
+    parser.add_argument("--out", type=Path, default=Path("anytime_error.png"))
     options = parser.parse_args()
     if options.table:
         rows = thinned(options.keep, options.thin)
         summary(rows, options.out)
         single_places(rows)
         return
-    scores: list[DriveScore] = []
     print(
         "| arena | driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |"
     )
@@ -239,7 +198,6 @@ def main() -> None:
                     if (short, seed, way, minutes) in known:
                         continue
                     r = row(way, runs := drive(minutes), evaluate(build(runs), check))
-                    scores.append(r)
                     print(
                         f"| {short} {seed} | {way} | {r.minutes:.1f} | {r.scans:,} | {100 * r.wrong:.2f} % | "
                         f"{100 * r.answered:.1f} % | {100 * r.wrong_of_answered:.2f} % | {100 * r.median:.2f} cm |"
@@ -248,8 +206,6 @@ def main() -> None:
                     keep(options.keep, asdict(r) | where)
     if options.keep:
         summary(thinned(options.keep, options.thin), options.out)
-    elif scores:
-        picture(scores, options.out)
 
 
 def thinned(path: Path | None, thin: int) -> list[dict[str, Any]]:

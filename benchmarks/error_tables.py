@@ -33,36 +33,6 @@ class DriveScore:
     """[m]"""
 
 
-def picture(rows: list[DriveScore], path: Path) -> None:
-    """Draw the share wrong and the share answered against minutes, a line for each way of driving."""
-    figure = new_figure(11.0, 3.4)
-    left, right = figure.subplots(1, 2)
-    colours = dict(zip(dict.fromkeys(r.way for r in rows), COLOURS, strict=False))
-    for way, colour in colours.items():
-        own = [r for r in rows if r.way == way]
-        minutes = [r.minutes for r in own]
-        style = {"color": colour, "lw": 1.8, "marker": "o", "ms": 4}
-        left.plot(minutes, [100 * r.wrong for r in own], label=way, **style)
-        right.plot(minutes, [100 * r.answered for r in own], **style)
-    left.set_yscale("log")
-    left.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
-    right.set_ylabel("rays answered [%]", color=INK)
-    for axes in (left, right):
-        minutes_axis(axes)
-    figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
-    save_figure(figure, path)
-
-
-def minutes_axis(axes: Any) -> None:
-    """Lay out an axis of minutes."""
-    axes.set_xscale("log")
-    axes.set_xticks(ALL_MINUTES, [str(m) for m in ALL_MINUTES])
-    axes.minorticks_off()
-    axes.set_xlabel("driven [min]", color=INK)
-    axes.grid(color=SOLID, lw=0.6)
-    reduce_frame(axes)
-
-
 def summary(rows: list[dict[str, Any]], path: Path) -> None:
     """Print the mean share wrong of each way with its 95 % interval over places, and by how much anytime differs; draw it."""
     print("\n| driven by | places (runs) | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
@@ -92,7 +62,12 @@ def summary(rows: list[dict[str, Any]], path: Path) -> None:
     axes.set_ylabel("rays wrong by more than 5 cm [%]", color=INK)
     axes.set_yscale("log")
     axes.set_ylim(bottom=LEAST_DRAWN)
-    minutes_axis(axes)
+    axes.set_xscale("log")
+    axes.set_xticks(ALL_MINUTES, [str(m) for m in ALL_MINUTES])
+    axes.minorticks_off()
+    axes.set_xlabel("driven [min]", color=INK)
+    axes.grid(color=SOLID, lw=0.6)
+    reduce_frame(axes)
     figure.legend(loc="outside right center", frameon=False, fontsize=8, labelcolor=INK)
     save_figure(figure, path)
 

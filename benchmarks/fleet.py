@@ -3,13 +3,11 @@
     python -m benchmarks.fleet make ../shared/data/raw-carmen -o DIR [--logs 200] [--seed 0]
     python -m benchmarks.fleet run DIR [--workers 2]
     python -m benchmarks.fleet kill DIR [--workers 2]
-    python -m benchmarks.fleet resample DIR
 
 `make` cuts stretches of the raw logs of intel and fr079, deals them to robots in shuffled order, one a day, and
 plants wear from some day on: a worn wheel, a knocked laser, an offset of the ranges. It also builds a sensorgraph of
 each building from the complete log. What was planted is in planted.json, which `fleet` does not get. `run` calls
 `sensorgraph fleet` and compares. `kill` kills a second run half-way and starts it again.
-`resample` draws 990 logs from the values of those that were surveyed, and counts found and invented changes.
 """
 
 from __future__ import annotations
@@ -32,8 +30,6 @@ from benchmarks.arguments import existing, parser_of
 from benchmarks.measures import timed
 from logs.run import Run
 from logs.transforms import wrap
-from sensorgraph.surveying.quantities import LABELS, quantities_of
-from sensorgraph.surveying.trends import SURE, steps_of
 
 SOURCES = {"intel": ("amr", 0.7), "fr079": ("bot", 0.3)}
 """Log -> first part of the names of its robots, and share of the stretches."""
@@ -220,48 +216,6 @@ def _building(robot: str) -> str:
     return next(name for name, (prefix, _) in SOURCES.items() if robot.startswith(prefix))
 
 
-def resample(folder: Path, seed: int) -> None:
-    """Compare 1,000 logs whose values are drawn from those of a surveyed fleet: trends alone, without new surveys.
-
-    Values are taken relative to the robot's median before a change, with their standard errors.
-    """
-    found = json.loads((folder / "fleet" / "fleet.json").read_text())
-    planted = {one["robot"]: one for one in json.loads((folder / "planted.json").read_text())}
-    pool: dict[str, list[tuple[float, float]]] = {}
-    for robot in sorted({row["robot"] for row in found["rows"]}):
-        own = [row for row in found["rows"] if row["robot"] == robot]
-        if robot in planted:
-            own = own[: planted[robot]["day"]]
-        for name in quantities_of(own):
-            pairs = np.array([row["quantities"][name] for row in own if name in row["quantities"]])
-            if len(pairs):
-                pool.setdefault(name, []).extend((v - np.median(pairs[:, 0]), s) for v, s in pairs)
-    rng = np.random.default_rng([58, seed])
-    n_logs, n_robots, counts = 22, 45, {"series": 0, "invented": 0}
-    hits: dict[str, list[bool]] = {}
-    for robot in range(n_robots):
-        worn = str(rng.choice(KINDS)) if robot % 2 else ""
-        for name, values in pool.items():
-            pairs = np.array(values)[rng.integers(len(values), size=n_logs)]
-            v, s = pairs[:, 0], np.hypot(pairs[:, 1], LABELS[name].resolution)
-            at = int(rng.integers(n_logs // 3, 2 * n_logs // 3))
-            if name == worn:
-                size = float(rng.uniform(*SIZES[name])) * (np.radians(1) if name == "mount_phi" else 1)
-                v = v + np.where(np.arange(n_logs) >= at, size, 0.0)
-            steps = [one for one in steps_of(name, np.arange(n_logs) * DAY, v, s) if one.probability >= SURE]
-            if name == worn:
-                hits.setdefault(name, []).append(
-                    any(not one.is_drift and abs(one.before + 1 - at) <= 1 for one in steps)
-                )
-            else:
-                counts["series"] += 1
-                counts["invented"] += bool(steps)
-    shown = ", ".join(f"{name} {sum(found)} of {len(found)}" for name, found in sorted(hits.items()))
-    print(
-        f"{n_robots * n_logs} logs: found on the day ± 1: {shown}; invented {counts['invented']} of {counts['series']}"
-    )
-
-
 def kill(folder: Path, workers: int) -> None:
     """Kill the coordinator half-way, start it again, and count how often each log was analysed."""
     out = folder / "killed"
@@ -282,7 +236,7 @@ def kill(folder: Path, workers: int) -> None:
 
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("step", choices=("make", "run", "kill", "resample"))
+    parser.add_argument("step", choices=("make", "run", "kill"))
     parser.add_argument("folder", type=existing, help="make: raw-carmen; else the folder that `make` wrote")
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--logs", type=int, default=200)
@@ -295,10 +249,8 @@ def main() -> None:
         make(args.folder, args.out, args.logs, args.each, args.seed, args.sources)
     elif args.step == "run":
         run(args.folder, args.workers)
-    elif args.step == "kill":
-        kill(args.folder, args.workers)
     else:
-        resample(args.folder, args.seed)
+        kill(args.folder, args.workers)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ from scipy.signal import lfilter
 
 from benchmarks.arguments import parser_of
 from benchmarks.measures import fastest, peak_memory, timed
-from benchmarks.raycast import arena_of, box
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
 from robotmodic_ident.selection.model_size import Search
 from sensorgraph.world.raycast import cast_laser
@@ -178,7 +177,8 @@ def room(rng: np.random.Generator, n: int, n_rays: int) -> tuple[Signals, np.nda
         free = ~((np.stack([a, b]) > low) & (np.stack([a, b]) < high)).all(axis=1).any(axis=0)
         x, y = np.r_[x, a[free]], np.r_[y, b[free]]
     x, y = x[:n], y[:n]
-    walls = arena_of([box(*each) for each in boxes]).walls
+    corners = boxes[:, [[0, 1], [2, 1], [2, 3], [0, 3]]]  # (n_boxes, 4, 2)
+    walls = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     poses = np.column_stack([x, y, phi])
     ranges, _ = cast_laser(walls, poses, np.linspace(-np.pi / 2, np.pi / 2, n_rays), 1e4)
     columns = {

@@ -6,7 +6,6 @@ Truth is the whole log, located together (`sensorgraph locate`): both halves are
 - `track`: the second half, found and followed
 - `kidnap`: 30 times, 15 s of log go on at another covered place; a robot that is not found within 5 s is said to be lost
   if no pose later than 2 s after it was carried is called ok and wrong
-- `grid`: the same steps from scan to scan, followed in a 5 cm occupancy grid of the first half by a likelihood field
 
     python -m benchmarks.localize_in_map ../shared/data/raw-carmen/intel.clf.bz2 --work /tmp/in_map
 """
@@ -22,17 +21,15 @@ import numpy as np
 import logs
 import sensorgraph as sg
 from benchmarks.arguments import log_of_halves, parser_of
-from benchmarks.grid_localization import DistanceGrid, follow, grid_of
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from planners.types import Bools, Floats, Ints
-from sensorgraph.localization.front_end import track
 from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.map_settings import MAP_TRACKING
-from sensorgraph.localization.map_tracking import MapTracker, min_fit_of
+from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.scans import scan_points
@@ -206,37 +203,6 @@ def said(poses: Floats, truth: Floats) -> str:
     )
 
 
-def in_grid(data: Halves) -> None:
-    """Print the errors of following the second half in an occupancy grid, for the best threshold and sigma of several.
-
-    The best is chosen on these very errors, in favour of the grid; it starts at the truth, and is put back to it
-    whenever it is 0.5 m off. Ours beside it: found without a guess, not smoothed.
-    """
-    motion = odometry_of(data.second)
-    assert motion is not None
-    scans, odometry = scan_points(data.second, motion), odometry_at_scans(data.second, motion)
-    steps = track(scans, data.second.stamps, odometry, lambda done, total: None)
-    ours = MapTracker(scans, data.second.stamps, steps, known_map(data.walls, data.seen, data.normals)).run(
-        lambda done, total: None
-    )
-    grid = grid_of(data.first)
-    best = None
-    for threshold in (0.1, 0.25, 0.5):
-        field = DistanceGrid.of(grid, threshold)
-        for sigma in (0.05, 0.1, 0.2):
-            poses = follow(field, sigma, scans, steps, data.truth)
-            middle = np.nanmedian(errors(poses[data.covered], data.truth[data.covered])[0])
-            if best is None or middle < best[0]:
-                best = (middle, poses, threshold, sigma)
-    assert best is not None
-    which = data.covered & np.isfinite(ours.poses[:, 0]) & np.isfinite(best[1][:, 0])
-    print(f"tracking in the graph, covered: {said(ours.poses[which], data.truth[which])}")
-    print(
-        f"tracking in a grid of 5 cm (threshold {best[2]}, sigma {best[3]} m), same scans: "
-        f"{said(best[1][which], data.truth[which])}"
-    )
-
-
 def kidnapped(data: Halves, n: int, rng: np.random.Generator) -> None:
     """Print how often a robot that was carried elsewhere is found in time, or else said to be lost in time."""
     span, soon, at_once = 15.0, 5.0, 2.0
@@ -293,7 +259,7 @@ def _joined(one: Run, two: Run) -> Run:
 def main() -> None:
     parser = parser_of(__doc__)
     log_of_halves(parser)
-    parser.add_argument("--parts", default="start,track,grid,kidnap")
+    parser.add_argument("--parts", default="start,track,kidnap")
     parser.add_argument("--swap", action="store_true", help="the first half in a graph of the second")
     parser.add_argument("--places", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
@@ -309,8 +275,6 @@ def main() -> None:
         start(data, 5, given.places, rng)
     if "track" in parts:
         tracking(data)
-    if "grid" in parts:
-        in_grid(data)
     if "kidnap" in parts:
         kidnapped(data, 30, rng)
 

@@ -3,7 +3,6 @@
     python -m benchmarks.locate relations            # aces against relations verified by hand
     python -m benchmarks.locate sharpness            # three raw logs; published corrected poses beside ours
     python -m benchmarks.locate offices --seeds 20   # simulated offices with truth: error and coverage
-    python -m benchmarks.locate planted              # false closures planted among the true ones of aces
 
 Real logs are looked for in ../shared/data (--data).
 """
@@ -24,11 +23,8 @@ from benchmarks.places import arena_named
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from planners.types import Floats, Ints
-from sensorgraph.localization.front_end import track
-from sensorgraph.localization.loop_closures import LoopCloser, spread
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.recording.controllers import WallFollowing
@@ -211,43 +207,6 @@ def compare_sharpness(data: Path) -> None:
             )
 
 
-def compare_planted(data: Path) -> None:
-    """Plant closures between places far apart, each as sure of itself as a true one."""
-    run, relations = raw(data, "aces"), read_relations(data)
-    motion = odometry_of(run)
-    assert motion is not None
-    scans = scan_points(run, motion)
-    tracked = track(scans, run.stamps, odometry_at_scans(run, motion), no_ticks)
-    closer = LoopCloser(scans, tracked)
-    closer.run(no_ticks)
-    middles = np.array([submap.middle for submap in closer.submaps])
-    start = tracked.poses[tracked.key_frames]
-    for n in (0, 7, 21, 42):
-        rng = np.random.default_rng(n)
-        false = []
-        while len(false) < n:
-            a, b = np.sort(rng.choice(middles, 2, replace=False))
-            if b - a > closer.settings.apart:
-                shift = rng.uniform((-1.0, -1.0, -0.2), (1.0, 1.0, 0.2))
-                truth = compose(invert(closer.graph.poses[a]), closer.graph.poses[b])
-                information = closer.found[int(rng.integers(len(closer.found)))][3]
-                false.append((int(a), int(b), truth + shift + np.sign(shift) * [0.5, 0.5, 0.0], information))
-        graph = PoseGraph(start, closer.steps)
-        rows = closer.found + false
-        graph.solve(PoseEdges.of(rows))
-        poses, kept = graph.solve_robustly(PoseEdges.of(rows))
-        errors = relation_errors(run, spread(tracked, poses), relations)
-        n_true = len(closer.found)
-        print(
-            relations_row(f"{n} false", errors)
-            + f"   kept {int(kept[:n_true].sum())} of {n_true} found, {int(kept[n_true:].sum())} of {n} planted"
-        )
-
-
-def no_ticks(done: int, total: int) -> None:
-    """Show nothing."""
-
-
 def read_relations(data: Path) -> Floats:
     with gzip.open(data / "raw-carmen" / "aces.relations.gz", "rt") as file:
         return np.loadtxt(file)
@@ -289,15 +248,13 @@ def judged(errors: Floats, turn: Floats, found: Localization) -> tuple[float, Fl
 
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("what", choices=("relations", "sharpness", "offices", "planted"))
+    parser.add_argument("what", choices=("relations", "sharpness", "offices"))
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--seeds", type=int, default=20, help="offices to drive through")
     parser.add_argument("--first", type=int, default=0, help="seed of the first office")
     options = parser.parse_args()
     if options.what == "relations":
         compare_relations(options.data)
-    elif options.what == "planted":
-        compare_planted(options.data)
     elif options.what == "sharpness":
         compare_sharpness(options.data)
     else:

@@ -1,12 +1,11 @@
-"""How well a graph of an office predicts, with intervals over arenas and seeds, and how fast and how small it is.
+"""How well a graph of an office predicts, with intervals over arenas and seeds, and how small and fast it is.
 
     OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.office_graph [--arenas office,1,2,3,4,5] [--seeds 0,1] [--poses 1000]
 
 The shipped office and random ones (`benchmarks/offices.py`), 181 rays over half a turn, sigma 1 cm, exact poses. A graph
 is built from poses chosen by `sensorgraph.planning.views.choose_views` and from as many drawn evenly; it is asked for 2,000 fresh
 poses. Shares are of the rays that hit something; within 3 sigma of the noisy reading, wrong against the true range. An
-interval is that of the mean over arenas and seeds, 95 % by Student's t. Speed is compared with the same prediction in
-plain numpy, in the same process.
+interval is that of the mean over arenas and seeds, 95 % by Student's t.
 """
 
 from __future__ import annotations
@@ -25,8 +24,6 @@ from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.faces.model import Faces
-from sensorgraph.models.mixture import summarise_plain
 from sensorgraph.planning.views import choose_views
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.wall_distance import WallDistance
@@ -38,7 +35,6 @@ WALL_CLEARANCE = 0.2  # [m] that poses keep from walls
 CANDIDATES_PER_VIEW = 5  # for each view
 N_FRESH_POSES = 2000
 REPEATS = 5  # of a prediction; the fastest counts
-N_PLAIN = 20  # poses of the numpy path, which is slow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,9 +52,7 @@ class GraphScore:
     size: float
     """[bytes]"""
     speed: float
-    """[rays/s] with the whole mixture."""
-    ratio: float
-    """To plain numpy."""
+    """[rays/s] of one core."""
 
 
 GRAPH_COLUMNS = {
@@ -70,7 +64,6 @@ GRAPH_COLUMNS = {
     "fit": ("fit [s]", 1.0, 2),
     "size": ("file [kB]", 1e-3, 0),
     "speed": ("M rays/s", 1e-6, 2),
-    "ratio": ("times numpy", 1.0, 0),
 }
 
 
@@ -113,7 +106,6 @@ def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> GraphScore:
     off = np.abs(said.mode - truth)[hit]
     noisy = truth + SENSOR.sigma * rng.normal(size=truth.shape)
     answered = said.answered[hit]
-    fast, plain = speeds(graph, check)
     return GraphScore(
         within_3_sigma=float((np.abs(said.mode - noisy)[hit] <= 3 * SENSOR.sigma).mean()),
         wrong=float((off > 0.05).mean()),
@@ -122,8 +114,7 @@ def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> GraphScore:
         median=float(np.median(off)),
         fit=took.cpu,
         size=size_of(graph),
-        speed=fast,
-        ratio=fast / plain,
+        speed=truth.size / fastest(lambda: graph.predict(check), REPEATS),
     )
 
 
@@ -133,52 +124,6 @@ def size_of(graph: Sensorgraph) -> float:
         path = Path(folder) / "office.sensorgraph"
         graph.save(path)
         return float(path.stat().st_size)
-
-
-def speeds(graph: Sensorgraph, poses: Floats) -> tuple[float, float]:
-    """Return rays a second of one core: compiled, and in plain numpy."""
-    model, n_rays = graph.model, graph.sensor.n_rays
-    assert isinstance(model, Faces)
-    best = fastest(lambda: graph.predict(poses), REPEATS)
-    plain = fastest(lambda: predict_plain(model, poses[:N_PLAIN]), 1)
-    return len(poses) * n_rays / best, N_PLAIN * n_rays / plain
-
-
-def predict_plain(model: Faces, poses: Floats) -> Floats:
-    """Return (n_poses, n_rays, 6) summaries: all faces against all rays, one sort, one mixture for each ray."""
-    faces, sensor = model.faces, model.sensor
-    theta = poses[:, 2, None] + model.mount[2] + sensor.bearings
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    mount = model.mount
-    q = poses[:, :2] + np.column_stack([cos * mount[0] - sin * mount[1], sin * mount[0] + cos * mount[1]])
-    u = np.stack([np.cos(theta), np.sin(theta)], axis=-1)  # (n_poses, n_rays, 2)
-    den = u @ faces.normals.T  # (n_poses, n_rays, n_faces)
-    above = faces.offsets - q @ faces.normals.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rho = np.where(den < -1e-6, above[:, None] / den, np.inf)
-    rho[(rho <= 0) | (rho > sensor.range_max)] = np.inf
-    along = (q @ faces.tangents.T)[:, None] + np.where(np.isfinite(rho), rho, 0.0) * (u @ faces.tangents.T)
-    chance = np.zeros_like(rho)
-    for k in range(faces.n_faces):
-        part = slice(faces.first[k], faces.first[k + 1])
-        place = np.searchsorted(faces.edges[part], along[..., k], side="right") - 1
-        chance[..., k] = np.where(place >= 0, faces.levels[part][np.maximum(place, 0)], 0.0)
-    order = np.argsort(rho, axis=-1)
-    rho, chance = np.take_along_axis(rho, order, -1), np.take_along_axis(chance, order, -1)
-    chance = np.where(np.isfinite(rho), chance, 0.0)
-    left = np.cumprod(1 - chance, axis=-1)
-    weight = chance * np.concatenate([np.ones_like(left[..., :1]), left[..., :-1]], axis=-1)
-    out = np.empty((*rho.shape[:2], 6))
-    sigma = np.full(faces.n_faces, model.noise.sigma)
-    for i, b in np.ndindex(out.shape[:2]):
-        use = np.flatnonzero(weight[i, b] > 1e-4)
-        if len(use) == 0:
-            out[i, b] = (sensor.range_max,) * 4 + (left[i, b, -1], 1.0)
-            continue
-        out[i, b] = summarise_plain(
-            rho[i, b, use], weight[i, b, use], sigma, len(use), left[i, b, -1], sensor.range_max, 0
-        )
-    return out
 
 
 def main() -> None:
