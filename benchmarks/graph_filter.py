@@ -271,12 +271,19 @@ def picture(found: Posterior, data: Halves, truth_share: float, graph: Sensorgra
     save_figure(figure, path)
 
 
-def print_amcl(data: Halves, fitted: FittedAmcl, seeds: int, n_updates: int | None) -> None:
-    """Print the rows of AMCL."""
-    for label, parameters, laser_model in (
-        ("AMCL, Nav2's defaults, 2000 particles", DEFAULTS, LASER_MODELS[0]),
-        ("AMCL, fitted, 2000 particles", fitted.numbers, fitted.laser_model),
-    ):
+def print_amcl(
+    data: Halves, fitted: FittedAmcl, seeds: int, n_updates: int | None, *, in_parts: bool
+) -> None:
+    """Print the rows of AMCL, in parts also those with the model or the numbers of the fit alone."""
+    numbers, model = fitted.numbers, fitted.laser_model
+    rows = [("Nav2's defaults", DEFAULTS, LASER_MODELS[0]), ("fitted", numbers, model)]
+    if in_parts:
+        rows += [
+            ("Nav2's defaults, the product", DEFAULTS, LASER_MODELS[1]),
+            ("fitted numbers", numbers, LASER_MODELS[0]),
+        ]
+        print("\n".join(fitted.lines))
+    for label, parameters, laser_model in rows:
         for seed in range(seeds):
             began = time.process_time()
             poses = followed(
@@ -285,7 +292,9 @@ def print_amcl(data: Halves, fitted: FittedAmcl, seeds: int, n_updates: int | No
             scans = np.flatnonzero(np.isfinite(poses[:, 0]))
             done = scans[:n_updates][data.covered[scans[:n_updates]]]
             rate = len(scans) / (time.process_time() - began)
-            print(f"{label}, seed {seed}: {said(poses[done], data.truth[done])}; {rate:.1f} updates/s")
+            print(
+                f"AMCL, {label}, 2000 particles, seed {seed}: {said(poses[done], data.truth[done])}; {rate:.1f} updates/s"
+            )
 
 
 def main() -> None:
@@ -295,9 +304,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--updates", type=int, help="only the first updates")
     parser.add_argument("--picture", type=Path)
+    parser.add_argument(
+        "--amcl", action="store_true", help="AMCL alone, with the whole truth, and parts of its fit"
+    )
     given = parser.parse_args()
-    data = halves(given.log, given.work, hidden=N_RAYS)
-    print_amcl(data, fitted_amcl(data.first, data.graph), given.seeds, given.updates)
+    data = halves(given.log, given.work, hidden=0 if given.amcl else N_RAYS)
+    fitted = fitted_amcl(data.first, data.graph)
+    print_amcl(data, fitted, given.seeds, given.updates, in_parts=given.amcl)
+    if given.amcl:
+        return
     graph = graph_with_memory(data, given.log, given.work)
     print(f"graph: {graph.memory.summary() if graph.memory else 'no memory'}")
     motion, truth_share = Motion.fit(data.first), share_of_truth(given.log, given.work)

@@ -31,16 +31,23 @@ class FittedAmcl(NamedTuple):
     numbers: dict[str, float]
     """Parameters by their names in Nav2."""
     laser_model: str
+    lines: tuple[str, ...]
+    """Each number with its estimate, and the laser model with its errors."""
 
 
 def fitted_amcl(run: Run, graph: Sensorgraph) -> FittedAmcl:
     """Fit AMCL's parameters and its laser model to a located run, in the map of its graph."""
     arena = arena_of(graph)
     grid = map_of(arena)
-    numbers = chosen(estimate_amcl(run, arena, grid))
+    estimates = estimate_amcl(run, arena, grid)
+    numbers = chosen(estimates)
     compared = compare_laser_models(run, grid, numbers)
     model = compared.name if compared else LASER_MODELS[0]
-    return FittedAmcl(field=CellDistances.of(grid), numbers=numbers, laser_model=model)
+    lines = (
+        *(f"{name}: {found}" for name, found in estimates.items()),
+        f"laser_model_type: {model}, {compared}",
+    )
+    return FittedAmcl(field=CellDistances.of(grid), numbers=numbers, laser_model=model, lines=lines)
 
 
 def followed(
