@@ -195,22 +195,6 @@ class DiffDrive:
                     plugin.children[-1], f"<{tag}>{number_text(value)}</{tag}>", note(None, why(a, "v_max"))
                 )
 
-    def acceleration(self, value: float, reason: Why) -> None:
-        """Limit the acceleration."""
-        plugin = self._plugin()
-        if "libgazebo" in plugin.get("filename"):
-            tags = [("max_wheel_acceleration", value), ("wheelAcceleration", value)]
-            tags = [one for one in tags if plugin.child(one[0])] or tags[:1]
-        else:
-            tags = [("max_linear_acceleration", value), ("min_linear_acceleration", -value)]
-        for tag, number_ in tags:
-            leaf = plugin.child(tag)
-            if leaf is not None and leaf.text is not None:
-                put(self.document, leaf.text, number_, reason)
-            else:
-                text = f"<{tag}>{number_text(number_)}</{tag}>"
-                _insert_behind(plugin.children[-1], text, note(None, reason))
-
     def _scale(self, tags: Sequence[str], a: Amendment) -> None:
         plugin = self._plugin()
         leaves = [leaf for leaf in plugin.children if leaf.tag in tags and leaf.text is not None]
