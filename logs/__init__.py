@@ -44,25 +44,21 @@ __all__ = [
 ]
 
 _MODULES = {
-    "LogError": "logs.errors",
-    "FORMATS": "logs.formats",
-    "read": "logs.formats",
-    "write": "logs.formats",
-    "Recorder": "logs.recorder",
-    "parse_topics": "logs.ros.recording",
-    "OccupancyMap": "logs.run",
-    "Pairing": "logs.run",
-    "RangeSensor": "logs.run",
-    "Run": "logs.run",
-    "pair": "logs.run",
+    "errors": "LogError",
+    "formats": "FORMATS read write",
+    "recorder": "Recorder",
+    "ros.recording": "parse_topics",
+    "run": "OccupancyMap Pairing RangeSensor Run pair",
 }
+"""Module -> its public names."""
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its module on first use."""
-    if name not in _MODULES:
+    module = next((module for module, names in _MODULES.items() if name in names.split()), None)
+    if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_MODULES[name]), name)
+    found = getattr(import_module(f"{__name__}.{module}"), name)
     globals()[name] = found
     return found
 

@@ -27,7 +27,7 @@ from logs.ros.recording import (
 from logs.run import Run, pair
 from logs.run_warnings import warnings_of
 from logs.sweep import sweep_line
-from logs.types import Floats, Mounts, Progress
+from logs.types import Floats, Mounts, Progress, ReadOptions
 from logs.usability import Ground, Use, advice, ground_of, no_use, uses_of
 
 LOADERS: dict[str, Callable[[Path, Progress | None], Recording]] = {
@@ -154,19 +154,20 @@ def inspect(
     check_no_return(no_return)
     kind = format_of(path)
     check_slice(path, kind, slice)
+    how = ReadOptions(topics, progress, no_return, mounts, slice)
     recording: Recording | None = None
     run: Run | None = None
     missing: list[str] = []
     if kind in LOADERS:
         recording = LOADERS[kind](path, progress)
         try:
-            run = to_run(recording, path.name, topics, no_return, mounts, heights=slice)
+            run = to_run(recording, path.name, how)
         except LogError as exc:
             if topics or slice is not None:
                 raise
             missing.append(str(exc))
     else:
-        run = FORMATS[kind].read(path, topics, progress, no_return, mounts)
+        run = FORMATS[kind].read(path, how)
     warnings = [] if recording is None or run is not None else _clock_warnings(recording)
     usable: list[str] = []
     pairing = ""

@@ -11,7 +11,7 @@ from logs.files import atomic_file
 from logs.formats import rosbag1
 from logs.formats.bag_fields import check_bag
 from logs.formats.bag_records import BagWalk
-from logs.formats.collecting import WalkOf, open_bytes
+from logs.formats.collecting import WalkOf, open_bytes, walked
 from logs.formats.mcap_file import CHUNK_SIZE
 from logs.mcap.records import MAGIC, Channel, Contents, Loss
 from logs.mcap.walk import RecordWalk
@@ -118,12 +118,8 @@ def recover(path: Path | str, out: Path | str, *, progress: Progress | None = No
     ):  # a unique name, because NAME.part may be the damaged file
         copy = _RecoveredFile(stream, known)
         walk = walk_of(data, copy.take, lambda loss: _add(losses, loss))
-        for step, pos in enumerate(walk.steps()):
-            if progress is not None and step % 64 == 0:
-                progress(pos, len(data))
+        walked(walk, len(data), progress)
         copy.finish()
-    if progress is not None:
-        progress(len(data), len(data))
     topics = {key: channel.topic for key, channel in known.channels.items()}
     lost: dict[str, int] = {}
     for key, count in walk.contents.lost_messages.items():

@@ -18,7 +18,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import format_of, read
-from logs.formats.collecting import damage_text, type_of
+from logs.formats.collecting import damage_text, describe, type_of, walked
 from logs.formats.mcap_file import messages
 from logs.mcap.records import Contents, Loss
 from logs.mcap.walk import MessageSink, RecordWalk
@@ -42,7 +42,7 @@ from logs.ros.recording import (
 )
 from logs.ros.stamps import StampCensus, can_be_read_in_pieces, starts_with_header
 from logs.run import Run
-from logs.types import Mounts, Progress
+from logs.types import Mounts, Progress, ReadOptions
 
 # only memory and speed depend on these, not the data
 PIECE = 4096
@@ -112,7 +112,7 @@ def open_log(
     check_roles(topics)
     check_no_return(no_return)
     if slice is None and format_of(path) == "mcap" and path.stat().st_size > 0:
-        stream = McapStream.open(path, topics, progress, no_return, mounts)
+        stream = McapStream.open(path, ReadOptions(topics, progress, no_return, mounts))
         sensor = None if stream is None else stream.head.sensor
         if (
             stream is not None
@@ -133,10 +133,8 @@ class McapStream:
     head: Run
     n_scans: int
     scan_topic: str
-    roles: Mapping[str, str]
-    no_return: str | None
-    """Encoding of a missing return, selected by the user or detected in the first messages; None: our own file."""
-    mounts: Mounts | None
+    how: ReadOptions
+    """The options; `no_return` is that of the first messages if it is not selected, and None for our own file."""
     census: Mapping[str, ShapeCensus]
     """Topic -> number of scans of each shape."""
     is_plain: bool
@@ -144,14 +142,7 @@ class McapStream:
     _contents: Contents = field(repr=False)
 
     @classmethod
-    def open(
-        cls,
-        path: Path,
-        topics: Mapping[str, str] | None,
-        progress: Progress | None,
-        no_return: str | None = None,
-        mounts: Mounts | None = None,
-    ) -> McapStream | None:
+    def open(cls, path: Path, how: ReadOptions) -> McapStream | None:
         """Validate every record, count the scans, and assign roles to topics from the first messages.
 
         None: the scans are not LaserScan messages of regular bearings, so that the log is read as a whole.
@@ -189,7 +180,8 @@ class McapStream:
         def refuse(loss: Loss) -> None:
             raise LogError(damage_text(path, loss))
 
-        contents = _walk(path, keep, refuse, progress)
+        topics = how.topics
+        contents = _walk(path, keep, refuse, how.progress)
         recording = _skeleton(contents)
         for key, channel in contents.channels.items():
             topic = recording.topics[channel.topic]
@@ -198,17 +190,17 @@ class McapStream:
                 topic.log_times += look[key].log_times
                 topic.payloads.take(look[key].payloads)
         census = {contents.channels[key].topic: found for key, found in shapes.items()}
-        is_plain = own_record.is_own(recording, topics) or can_be_read_in_pieces({
+        is_own = own_record.is_own(recording, topics)
+        is_plain = is_own or can_be_read_in_pieces({
             contents.channels[key].topic: found for key, found in times.items()
         })  # fmt: skip
-        is_own = own_record.is_own(recording, topics)
         recording.again = partial(messages, path)
         names = [] if is_own else [each.topic for each in choose_scans(recording, path.name, topics)]
         if not all(_is_regular(recording.topics[name], census) for name in names):
             return None
-        head = interpret.to_run(recording, path.name, topics, no_return, mounts, census)
-        if no_return is None and not own_record.is_own(recording, topics):
-            no_return = head.meta.get("no_return", "inf")
+        head = interpret.to_run(recording, path.name, how, census)
+        if how.no_return is None and not is_own:
+            how = how._replace(no_return=head.meta.get("no_return", "inf"))
         name = head.meta.get("scan_topic") or choose(recording, "scan", topics) or "/scan"
         name = name if name in recording.topics else "/scan"
         n_scans = recording.topics[name].n_messages if name in recording.topics else 0
@@ -217,9 +209,7 @@ class McapStream:
             head=head,
             n_scans=n_scans,
             scan_topic=name,
-            roles=dict(topics or {}),
-            no_return=no_return,
-            mounts=mounts,
+            how=how._replace(progress=None),
             census=census,
             is_plain=is_plain,
             _contents=contents,
@@ -238,9 +228,7 @@ class McapStream:
     @np.errstate(all="ignore")
     def _run(self, recording: Recording) -> Run:
         """Interpret a piece; poses from another source than that of the log are dropped."""
-        run = interpret.to_run(
-            recording, self.path.name, self.roles, self.no_return, self.mounts, self.census, self.head.meta
-        )
+        run = interpret.to_run(recording, self.path.name, self.how, self.census, self.head.meta)
         if run.meta.get("pose_source") != self.head.meta.get("pose_source"):
             run = replace(
                 run,
@@ -339,9 +327,7 @@ def _is_moving_transform(contents: Contents, channel: int) -> bool:
 def _skeleton(contents: Contents) -> Recording:
     """Return a recording with the topics of a file but no messages."""
     recording = Recording(format="mcap")
-    for name, pairs in contents.metadata:
-        recording.metadata.setdefault(name, {}).update(pairs)
-    recording.attachments = {attachment.name: attachment.data for attachment in contents.attachments}
+    describe(recording, contents)
     for key, channel in contents.channels.items():
         kind = type_of(contents, key)
         recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
@@ -356,11 +342,7 @@ def _walk(
 ) -> Contents:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         walk = RecordWalk(data, lambda *message: keep(walk.contents, *message), on_damage)
-        for done, pos in enumerate(walk.steps()):
-            if progress is not None and done % 64 == 0:
-                progress(pos, len(data))
-        if progress is not None:
-            progress(len(data), len(data))
+        walked(walk, len(data), progress)
         contents = walk.contents
         if contents.n_claimed is not None and contents.n_claimed != contents.n_messages:
             on_damage(

@@ -1,6 +1,6 @@
 """The content of plan.json: coverage, time relative to the reference time, constraint checks, and warnings.
 
-Warnings for a drive that is too fast for its log: poses per bin, and motion during a scan.
+`sampling_warnings` are for a drive that is too fast for its log: poses per bin, and motion during a scan.
 """
 
 from __future__ import annotations

@@ -83,50 +83,31 @@ __all__ = [
 ]
 
 _MODULES = {
-    "AutoFit": "robotmodic_ident.automatic",
-    "AutoSettings": "robotmodic_ident.trials",
-    "auto_fit": "robotmodic_ident.automatic",
-    "output_limits": "robotmodic_ident.selection.candidates",
-    "BASES": "robotmodic_ident.bases",
-    "bspline": "robotmodic_ident.bases",
-    "chebyshev": "robotmodic_ident.bases",
-    "fourier": "robotmodic_ident.bases",
-    "legendre": "robotmodic_ident.bases",
-    "polynomial": "robotmodic_ident.bases",
-    "wavelet": "robotmodic_ident.bases",
-    "IdentError": "robotmodic_ident.errors",
-    "fit": "robotmodic_ident.fitting",
-    "Narmax": "robotmodic_ident.model",
-    "Moments": "robotmodic_ident.moments",
-    "LaggedData": "robotmodic_ident.records",
-    "Record": "robotmodic_ident.records",
-    "blocks": "robotmodic_ident.records",
-    "halves": "robotmodic_ident.records",
-    "lagged": "robotmodic_ident.records",
-    "lags": "robotmodic_ident.records",
-    "Scale": "robotmodic_ident.scale",
-    "Dependence": "robotmodic_ident.selection.exact_dependence",
-    "independent": "robotmodic_ident.selection.exact_dependence",
-    "Selection": "robotmodic_ident.selection.select",
-    "select": "robotmodic_ident.selection.select",
-    "Terms": "robotmodic_ident.terms",
-    "ResidualTest": "robotmodic_ident.validation.residual_tests",
-    "false_discoveries": "robotmodic_ident.validation.residual_tests",
-    "validate": "robotmodic_ident.validation.residual_tests",
-    "Extrapolation": "robotmodic_ident.validation.score",
-    "Score": "robotmodic_ident.validation.score",
-    "HorizonScore": "robotmodic_ident.validation.score",
-    "extrapolation": "robotmodic_ident.validation.score",
-    "score": "robotmodic_ident.validation.score",
-    "scores": "robotmodic_ident.validation.score",
+    "automatic": "AutoFit auto_fit",
+    "bases": "BASES bspline chebyshev fourier legendre polynomial wavelet",
+    "errors": "IdentError",
+    "fitting": "fit",
+    "model": "Narmax",
+    "moments": "Moments",
+    "records": "LaggedData Record blocks halves lagged lags",
+    "scale": "Scale",
+    "selection.candidates": "output_limits",
+    "selection.exact_dependence": "Dependence independent",
+    "selection.select": "Selection select",
+    "terms": "Terms",
+    "trials": "AutoSettings",
+    "validation.residual_tests": "ResidualTest false_discoveries validate",
+    "validation.score": "Extrapolation HorizonScore Score extrapolation score scores",
 }
+"""Module -> its public names."""
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its module on first use."""
-    if name not in _MODULES:
+    module = next((module for module, names in _MODULES.items() if name in names.split()), None)
+    if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_MODULES[name]), name)
+    found = getattr(import_module(f"{__name__}.{module}"), name)
     globals()[name] = found
     return found
 

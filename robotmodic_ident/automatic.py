@@ -5,7 +5,7 @@ are searched by the simulation error on the remaining samples. Models of every s
 held-out block, which requires only the inputs. The smallest model within one standard error of the best is selected,
 and the search is repeated with all data.
 
-Compare the selected model with alternatives over whole records: linear models, friction, unsigned outputs.
+At the end, the model is compared with alternatives over whole records: linear models, friction, unsigned outputs.
 """
 
 from __future__ import annotations

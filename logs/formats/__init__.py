@@ -15,7 +15,7 @@ from logs.formats.text import first_bytes
 from logs.inflation import BZIP2_MAGIC, GZIP_MAGIC
 from logs.no_return import check_no_return
 from logs.run import OccupancyMap, Run
-from logs.types import Mounts, Progress
+from logs.types import Mounts, Progress, ReadOptions
 
 BAG_METADATA = "metadata.yaml"
 MAX_LISTED = 5
@@ -27,8 +27,7 @@ class Format(NamedTuple):
 
     matches: Callable[[Path, bytes], bool]
     """Return whether a file has this format, from its path and its first bytes (decompressed, if gzip)."""
-    read: Callable[..., Run]
-    """Read (path, topics, progress, no_return, mounts); formats with point clouds also take `heights`."""
+    read: Callable[[Path, ReadOptions], Run]
 
 
 FORMATS: dict[str, Format] = {
@@ -72,9 +71,9 @@ def read(
     check_no_return(no_return)
     kind = format_of(path)
     check_slice(path, kind, slice)
-    options = {} if slice is None else {"heights": slice}
+    how = ReadOptions(topics, progress, no_return, mounts, slice)
     with np.errstate(all="ignore"):  # overflow gives inf or nan, which are dropped and counted
-        return FORMATS[kind].read(path, topics, progress, no_return, mounts, **options)
+        return FORMATS[kind].read(path, how)
 
 
 def check_slice(path: Path, kind: str, slice: Sequence[float] | None) -> None:

@@ -23,7 +23,7 @@ from logs.no_return import decode
 from logs.resampling import resample, resampled_text, take_nearest
 from logs.run import PoseFrame, RangeSensor, Run, rate_of
 from logs.transforms import compose, invert, twists_of, wrap
-from logs.types import Floats, Mounts, Progress
+from logs.types import Floats, ReadOptions
 
 KEYWORDS = frozenset({*SCAN_KEYWORDS, "ODOM", "TRUEPOS", "PARAM", "SYNC", "NEFF", "POSITION", "GPGGA", "IMU"})
 # readings -> (first bearing [°], step [°]): the configurations of SICK and Hokuyo lasers in CARMEN
@@ -45,13 +45,7 @@ def matches(path: Path, head: bytes) -> bool:
     return b"message formats defined" in head
 
 
-def read(
-    path: Path,
-    topics: Mapping[str, str] | None = None,
-    progress: Progress | None = None,
-    no_return: str | None = None,
-    mounts: Mounts | None = None,
-) -> Run:
+def read(path: Path, how: ReadOptions) -> Run:
     """Read a run; in corrected logs the poses are those of the laser.
 
     Raises
@@ -59,8 +53,8 @@ def read(
     LogError
         If the log has no scans, lacks the scans that `topics` selects, or has more invalid lines than valid ones.
     """
-    lines = parse_lines(read_lines(path), progress)
-    kind = _choose(path, lines, topics)
+    lines = parse_lines(read_lines(path), how.progress)
+    kind = _choose(path, lines, how.topics)
     scans, notes = lines.scans[kind], list[str]()
     if lines.broken:
         share = len(lines.broken) / (len(lines.broken) + len(scans) + len(lines.odom))
@@ -82,7 +76,7 @@ def read(
         notes,
     )
     stamps, order = clock.stamps, clock.order
-    ranges, intensities, bearings, limits = _ranges(scans, no_return, notes)
+    ranges, intensities, bearings, limits = _ranges(scans, how.no_return, notes)
     source = _pose_source(path.name, lines, laser, robot)
     mount = _mount(kind, lines, laser, robot, source)
     found = _signals(lines, source, clock, laser, robot, mount)

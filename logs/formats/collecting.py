@@ -64,9 +64,7 @@ def collect(
     contents = (
         walk.contents
     )  # `take` must not refer to the walk: a reference cycle would keep the file in memory
-    for done, pos in enumerate(walk.steps()):
-        if progress is not None and done % 64 == 0:
-            progress(pos, len(data))
+    walked(walk, len(data), progress)
     unknown = sum(topic.n_messages for key, (topic, _) in found.items() if key not in contents.channels)
     if unknown:
         on_damage(Loss(len(data), len(data), f"{unknown} messages have an unknown channel"))
@@ -81,12 +79,24 @@ def collect(
                 topic.payloads.take(early.payloads)
         ordered |= {name: known for name, known in recording.topics.items() if known is topic}
     recording.topics = ordered
+    describe(recording, contents)
+    return recording, walk
+
+
+def describe(recording: Recording, contents: Contents) -> None:
+    """Take the metadata and the attachments of a file over."""
     for name, pairs in contents.metadata:
         recording.metadata.setdefault(name, {}).update(pairs)
     recording.attachments = {attachment.name: attachment.data for attachment in contents.attachments}
+
+
+def walked(walk: Walk, size: int, progress: Progress | None) -> None:
+    """Read a file of a size [bytes] to its end."""
+    for done, pos in enumerate(walk.steps()):
+        if progress is not None and done % 64 == 0:
+            progress(pos, size)
     if progress is not None:
-        progress(len(data), len(data))
-    return recording, walk
+        progress(size, size)
 
 
 def messages_of(path: Path, topic: str, *, walk_of: WalkOf) -> Iterator[tuple[int, bytes | memoryview]]:

@@ -47,7 +47,7 @@ from logs.ros.recording import (
 )
 from logs.run import OccupancyMap, RangeSensor, Run, pair
 from logs.transforms import Stamps, compose, interpolate, invert
-from logs.types import Mounts, Progress
+from logs.types import Progress, ReadOptions
 
 logger = logging.getLogger(__name__)
 
@@ -283,14 +283,7 @@ def matches(path: Path, head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def read(
-    path: Path,
-    topics: Mapping[str, str] | None = None,
-    progress: Progress | None = None,
-    no_return: str | None = None,
-    mounts: Mounts | None = None,
-    heights: tuple[float, float] | None = None,
-) -> Run:
+def read(path: Path, how: ReadOptions) -> Run:
     """Read a run from MCAP; a damaged file is rejected and not read partially.
 
     Raises
@@ -298,7 +291,7 @@ def read(
     LogError
         If a checksum fails, the file is truncated, or it holds no scans.
     """
-    return to_run(load(path, progress), path.name, topics, no_return, mounts, heights=heights)
+    return to_run(load(path, how.progress), path.name, how)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from logs.ros.cdr import Messages
 from logs.ros.interpret import to_run
 from logs.ros.recording import Recording, Topic
 from logs.run import Run
-from logs.types import Mounts, Progress
+from logs.types import Progress, ReadOptions
 
 PACKED = (ZSTD_MAGIC, LZ4_MAGIC)
 """First bytes of a compressed message; those of a plain one are 00 01 or 00 00."""
@@ -27,14 +27,7 @@ def matches(path: Path, head: bytes) -> bool:
     return head.startswith((sqlite_bag.MAGIC, *rosbag1.MAGICS))
 
 
-def read(
-    path: Path,
-    topics: Mapping[str, str] | None = None,
-    progress: Progress | None = None,
-    no_return: str | None = None,
-    mounts: Mounts | None = None,
-    heights: tuple[float, float] | None = None,
-) -> Run:
+def read(path: Path, how: ReadOptions) -> Run:
     """Read a run from a bag.
 
     Raises
@@ -42,7 +35,7 @@ def read(
     LogError
         If the bag is damaged, incomplete, in an unknown storage format, or without scans.
     """
-    return to_run(load(path, progress), path.name, topics, no_return, mounts, heights=heights)
+    return to_run(load(path, how.progress), path.name, how)
 
 
 def load(path: Path, progress: Progress | None = None) -> Recording:

@@ -30,7 +30,7 @@ from logs.no_return import apply_no_return, find_code
 from logs.ros.own_record import SENSOR_SCALARS, parse_bearings, parse_numbers, sensor_facts
 from logs.run import RangeSensor, Run, pair, with_rare_times
 from logs.transforms import dead_reckoning, interpolate, twists_of
-from logs.types import Floats, Mounts, Progress
+from logs.types import Floats, Progress, ReadOptions
 
 POSE_COLUMNS, ODOMETRY_COLUMNS, TWIST_COLUMNS, COMMAND_COLUMNS = (
     ("x", "y", "phi"),
@@ -68,13 +68,7 @@ def _cells(line: str, separator: str) -> list[str]:
     return [cell.strip().strip('"').strip() for cell in line.split(separator)]
 
 
-def read(
-    path: Path,
-    topics: Mapping[str, str] | None = None,
-    progress: Progress | None = None,
-    no_return: str | None = None,
-    mounts: Mounts | None = None,
-) -> Run:
+def read(path: Path, how: ReadOptions) -> Run:
     """Read a run from a table.
 
     Raises
@@ -88,7 +82,7 @@ def read(
     stated = {found[1]: found[2].strip() for line in comments if (found := _COMMENT.match(line))}
     rows = [line for line in lines if line.strip() and not _is_comment(line)]
     names, separator = _header(rows[0])
-    values = _values(path, rows[1:], len(names), separator, progress)
+    values = _values(path, rows[1:], len(names), separator, how.progress)
     claimed = stated.get("rows")
     if claimed is not None and claimed != str(len(values)):
         raise LogError(
@@ -104,7 +98,7 @@ def read(
     if not np.isfinite(stamps).all():
         raise LogError(f"{path}: column t has a value that is not finite; remove those rows")
     try:
-        sensor = _sensor(path, stated, ranges, no_return)
+        sensor = _sensor(path, stated, ranges, how.no_return)
         epoch = int(stated.get("epoch_ns", "0"))
     except ValueError as exc:
         raise LogError(f"{path}: {exc}; see the comments above its header") from exc

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from logs.formats.text import read_lines
 from logs.no_return import mask
 from logs.run import RangeSensor, Run, rate_of
 from logs.transforms import compose, invert, twists_of, wrap
-from logs.types import Mounts, Progress
+from logs.types import ReadOptions
 
 N_WEAN_RAYS = 180
 NO_RETURN_RANGE = 81.83
@@ -26,13 +25,7 @@ def matches(path: Path, head: bytes) -> bool:
     return (words[0], len(words)) in ((b"O", N_ODOMETRY_WORDS), (b"L", N_LASER_WORDS))
 
 
-def read(
-    path: Path,
-    topics: Mapping[str, str] | None = None,
-    progress: Progress | None = None,
-    no_return: str | None = None,
-    mounts: Mounts | None = None,
-) -> Run:
+def read(path: Path, how: ReadOptions) -> Run:
     """Read a run; its poses are wheel odometry.
 
     Raises
@@ -53,8 +46,8 @@ def read(
                 broken.append(number)
         except ValueError:
             broken.append(number)
-        if progress is not None and number % 1000 == 0:
-            progress(number, len(lines))
+        if how.progress is not None and number % 1000 == 0:
+            how.progress(number, len(lines))
     if not scans or len(broken) > len(scans):
         raise LogError(
             f"{path} has {len(scans)} valid L lines and {len(broken)} invalid lines; check that the copy is complete"
@@ -66,8 +59,8 @@ def read(
     laser[:, :2] /= 100.0
     robot[:, 2] = wrap(robot[:, 2])
     ranges, stamps = table[:, 6:-1] / 100.0, table[:, -1]
-    code = NO_RETURN_RANGE if no_return in (None, "range_max") else None
-    notes = mask([ranges], code, is_zero=no_return == "zero")
+    code = NO_RETURN_RANGE if how.no_return in (None, "range_max") else None
+    notes = mask([ranges], code, is_zero=how.no_return == "zero")
     if broken:
         notes.append(f"{len(broken)} invalid lines left out, the first is line {broken[0]}")
     # an L line repeats the pose of the previous O line with a later stamp; combined with O lines it would zigzag

@@ -12,6 +12,7 @@ from logs.live.network import LiveMessage
 from logs.ros.interpret import to_run
 from logs.ros.recording import TF_TYPE, Recording, Topic
 from logs.run import Run
+from logs.types import ReadOptions
 
 
 class MessageWindow:
@@ -44,6 +45,6 @@ class MessageWindow:
             topic.payloads.append(message.payload)
         try:
             with np.errstate(all="ignore"):
-                return to_run(recording, name, roles)
+                return to_run(recording, name, ReadOptions(topics=roles))
         except LogError:
             return None

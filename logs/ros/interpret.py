@@ -45,7 +45,7 @@ from logs.ros.transform_tree import TransformTree
 from logs.run import RangeSensor, Run
 from logs.sensor import median_step
 from logs.transforms import Stamps
-from logs.types import Floats, Mounts
+from logs.types import Floats, Mounts, ReadOptions
 
 MAX_LISTED = 4
 """Number of unused sensors that a note lists."""
@@ -54,29 +54,23 @@ MAX_LISTED = 4
 def to_run(
     recording: Recording,
     source: str,
-    topics: Mapping[str, str] | None = None,
-    no_return: str | None = None,
-    mounts: Mounts | None = None,
+    how: ReadOptions,
     census: Mapping[str, ShapeCensus] | None = None,
     whole: Mapping[str, str] | None = None,
-    heights: tuple[float, float] | None = None,
 ) -> Run:
     """Interpret a recording as a run.
 
     Parameters
     ----------
-    topics : Role -> topic, for non-standard topic names.
-    no_return : Encoding of a missing return, one of `NO_RETURNS`; None: Detected from the readings.
-    mounts : Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link, used if the log has no transform.
     census : Topic -> number of scans of each shape in the whole log, if the recording holds only some messages of it.
     whole : Meta of the run of the whole log, if the recording is a piece of it.
-    heights : [m] lowest and highest point of a point cloud that is read as a laser. None: its ring nearest the horizontal.
 
     Raises
     ------
     LogError
         If the recording has no scans, several lasers are possible and none is selected, or a selected topic is absent.
     """
+    topics, no_return, heights = how.topics, how.no_return, how.heights
     check_roles(topics)
     if own_record.is_own(recording, topics) and heights is None:
         return _odometry_as_poses(own_record.to_run(recording, source, no_return))
@@ -95,7 +89,7 @@ def to_run(
     )
     odom = odometry_of_topic(recording, odom_name)
     parts, titles, unused = _read_topics(recording, sources, no_return, census or {})
-    reading = _mounted(parts, titles, source, tree, odom, mounts or {})
+    reading = _mounted(parts, titles, source, tree, odom, how.mounts or {})
     scans = reading.scans
     robot = RobotFrames(tree=tree, base=reading.base, frame=scans.frame, topic=near, whole=whole)
     motion = find_motion(recording, topics, robot, odom, odom_name)

@@ -1,8 +1,6 @@
 """Correct the times that the driver of a laser states: of scans in bursts, of a scan, and between two rays.
 
-Scans that are stamped as they arrive, several at once: the laser turns evenly, so that their times are even.
-
-The last scan k of a burst arrives soon after it was taken, and the others waited for it. With the time T between two scans,
+Scans may be stamped as they arrive, several at once. The laser turns evenly, so that their times are even: the last scan k of a burst arrives soon after it was taken, and the others waited for it. With the time T between two scans,
 
     t_i = t_k - (k - i) T.
 """

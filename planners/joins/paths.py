@@ -1,8 +1,7 @@
 """Joins of robots that turn in place: straight where that is clear, else by OMPL (`ompl_paths`).
 
-Shortest path over the nodes of the distance raster (Dijkstra's algorithm).
-
-With the distance d of a node to the nearest wall, a step from node a to a neighbouring node b costs
+If OMPL finds no path, `raster_path` is the shortest one over the nodes of the distance raster (Dijkstra's
+algorithm). With the distance d of a node to the nearest wall, a step from node a to a neighbouring node b costs
 
     |a - b| (c(a) + c(b)) / 2.
 

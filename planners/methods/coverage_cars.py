@@ -1,6 +1,6 @@
 """The coverage planner for cars: search rooms in parallel, join them by OMPL, repair, shorten, repair again.
 
-Search of a car over several rooms, one after the other, and the order of the rooms.
+`search_floor` searches several rooms, one after the other, in the order of `order_rooms`.
 """
 
 from __future__ import annotations

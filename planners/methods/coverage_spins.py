@@ -1,8 +1,7 @@
 """The coverage planner for robots that turn in place: search rooms in parallel, join them, repair the drive.
 
-Complete the drive of a robot that turns in place: OMPL drives to the nearest cell with missing headings.
-
-The straight move is tried first. On arrival the robot turns through all missing headings of the cell. Bins on
+`SpinRepair` completes the drive: OMPL drives to the nearest cell with missing headings. The straight move is
+tried first. On arrival the robot turns through all missing headings of the cell. Bins on
 the path count too.
 """
 

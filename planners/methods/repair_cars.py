@@ -5,7 +5,7 @@ missing where a path ends, the search continues from there. This leads a car acr
 gave up, to the first room of a resumed plan, and to bins that the lattice of the search cannot cover. If OMPL
 finds no path, a wavefront over the whole floor is tried. A bin is given up when both fail.
 
-A car's drive during planning: its curves so far, and their logged bins. It can be continued from before its end.
+`PartialDrive` is the drive during planning. It can be continued from before its end.
 """
 
 from __future__ import annotations

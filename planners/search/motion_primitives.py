@@ -71,7 +71,7 @@ class MotionPrimitives:
     safe_depth: int
     """Safety of a state: this many primitives must be able to follow; negative: the robot must stop within as many."""
     omega: float
-    """[rad/s] turn rate, signed; 0 for cars."""
+    """[rad/s] turn rate; 0 for cars."""
     core_margin: float = 0.5
     """Number of samples subtracted at each end of a stay in the middle half of a bin, because its border may be crossed
     anywhere between two samples. It is 0 for slow sensors, for which stays are counted exactly."""
@@ -90,8 +90,8 @@ class MotionPrimitives:
         return total
 
 
-def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) -> MotionPrimitives:
-    """Return the primitives of a robot that turns in place at a constant rate, `sense` 1 counter-clockwise or -1.
+def spin_primitives(limits: Limits, headings: int, rate: float) -> MotionPrimitives:
+    """Return the primitives of a robot that turns in place at a constant rate, counter-clockwise.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
     then, speeds = _steps_of_level(level), rise * level
     n_headings = headings * parts
     stamps = np.concatenate([(np.arange(SAMPLES) + 0.5) / SAMPLES, [1.0]]) * tau
-    heading = sense * (np.arange(n_headings) * step - width / 2)
+    heading = np.arange(n_headings) * step - width / 2
     change = rise * (level[np.maximum(then, 0)] - level[:, None]) / tau  # (n_modes, 3) [m/s²]
     shape = (n_headings, *then.shape, SAMPLES + 1)
     full = [
@@ -117,19 +117,19 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
             heading[:, None, None, None],
             speeds[None, :, None, None],
             change[None, :, :, None],
-            np.float64(sense * omega),
+            np.float64(omega),
             np.float64(0.0),
             stamps,
         )
     ]
     offsets = np.stack(displace(*full), axis=-1)
-    which = sense * (np.arange(n_headings) // parts) % headings
+    which = np.arange(n_headings) // parts % headings
     bins = np.broadcast_to(which[:, None, None, None], (*shape[:3], SAMPLES)).astype(np.int16)
     within = (np.arange(n_headings)[:, None] % parts * step + stamps[:-1] * omega) / width - 0.5  # of the bin
     core = np.broadcast_to(((abs(within) <= 0.25) | (not has_core))[:, None, None, :], bins.shape)
     return MotionPrimitives(
-        first_heading=-sense * width / 2,
-        heading_step=sense * step,
+        first_heading=-width / 2,
+        heading_step=step,
         offsets=offsets,
         bins=bins,
         core=np.ascontiguousarray(core),
@@ -143,7 +143,7 @@ def spin_primitives(limits: Limits, headings: int, rate: float, sense: int = 1) 
         stops_first=np.zeros(then.shape, dtype=np.bool_),
         heading_bin=which.astype(np.int16),
         safe_depth=-(n_levels + 2),
-        omega=sense * omega,
+        omega=omega,
         core_margin=core_margin,
     )
 

@@ -36,21 +36,19 @@ def spin_curve(result: SearchResult, primitives: MotionPrimitives, alpha: float)
     ----------
     alpha : [rad/s²] Angular acceleration of spinning up and down.
     """
-    omega, sense = primitives.omega, float(np.sign(primitives.omega))
+    omega = primitives.omega
     modes = _modes(result, primitives)
     n = len(result.sequence)
     v = primitives.speeds[modes]
-    ramp = abs(omega) / alpha
+    ramp = omega / alpha
     dt = np.concatenate([[ramp], np.full(n, primitives.unit), [ramp]])
     twists = np.zeros((n + 2, 2))
     twists[1:, 1] = omega
     twists[1:-1, 0] = v[:-1]
     rates = np.zeros((n + 2, 2))
     rates[1:-1, 0] = np.diff(v) / primitives.unit
-    rates[[0, -1], 1] = sense * alpha, -sense * alpha
-    heading = (
-        primitives.first_heading + primitives.heading_step * result.start[2] - sense * 0.5 * abs(omega) * ramp
-    )
+    rates[[0, -1], 1] = alpha, -alpha
+    heading = primitives.first_heading + primitives.heading_step * result.start[2] - 0.5 * omega * ramp
     labels = np.full(n + 2, "drift")
     labels[[0, -1]] = "turn"
     return curve_of_pieces(np.array([*result.start[:2], heading]), dt, twists, rates, labels)

@@ -5,9 +5,8 @@ them, but it needs initial conditions. The first `look_back` outputs of every se
 lasts long in a slow system. They are estimated together with the coefficients, and their residuals count like those of
 other samples (Ljung 1999, sec. 7.2). One recursion gives the gradients for both.
 
-Outputs measured without their sign, such as a pulse counter that measures the speed of a wheel but not its direction.
-
-The model describes the signed output. The measured magnitudes take the signs of the free run.
+`with_signs` is for outputs measured without their sign, as by a pulse counter, which measures the speed of a wheel but
+not its direction. The model describes the signed output. The measured magnitudes take the signs of the free run.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Select the process terms of one output by least squares, or by the prediction error if there are noise terms.
 
-Choose a scale for the data: widths that bound every column, and centres for variables far from 0.
+`scale_for` chooses widths that bound every column of the data, and centres for variables far from 0.
 """
 
 from __future__ import annotations
