@@ -83,7 +83,7 @@ def test_a_live_watch_that_is_stopped_has_complete_files(
         def publish(self, *_: Any) -> None: ...
 
     monkeypatch.setattr("logs.live.network.RosNetwork", lambda *_, **__: nullcontext())
-    monkeypatch.setattr("logs.live.watching.LiveScans", lambda *_, **__: None)
+    monkeypatch.setattr("logs.live.recording.LiveScans", lambda *_, **__: None)
     monkeypatch.setattr("sensorgraph.watching.live.LiveWatch", Stopped)
     out = ["-o", str(tmp_path / "w.mcap"), "--json", str(tmp_path / "w.jsonl")]
     assert cli(["watch", str(folder / "room.sensorgraph"), "--live", *out]) == code

@@ -1,4 +1,4 @@
-"""Record a running robot: write every message as received, detect gaps, and provide the latest seconds as a run."""
+"""Record or watch a running robot: write messages as received, detect gaps, and give the latest seconds as a run."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ GAP_STEPS = 20
 """Number of steps whose median is the period, so that one gap does not hide the next."""
 RATE_SPAN = 5.0
 """[s] interval over which the displayed rate is counted."""
-WINDOW = 6.0
-"""[s] of messages kept to estimate the current pose of the robot."""
+POSE_WINDOW, SCAN_WINDOW = 6.0, 2.0
+"""[s] of messages kept to estimate the current pose of the robot, and the motion around a scan."""
 LOOK_EVERY = 0.1
 """[s] interval between checks of the router."""
 
@@ -98,7 +98,76 @@ class Outage:
     """[s] since the epoch; None: still disconnected."""
 
 
-class LiveRecording:
+class LiveScans:
+    """The latest seconds of a running robot, without writing a file.
+
+    Parameters
+    ----------
+    topics : Role -> topic, for non-standard topic names.
+    """
+
+    def __init__(
+        self, network: RosNetwork, *, topics: Mapping[str, str] | None = None, window: float = SCAN_WINDOW
+    ) -> None:
+        check_roles(topics)
+        self.network, self.roles = network, dict(topics or {})
+        self.rates: dict[str, TopicRate] = {}
+        """Topic -> statistics of its messages."""
+        self._window = MessageWindow(window)
+
+    @property
+    def n_scans(self) -> int:
+        """Number of messages with readings so far."""
+        return sum(rate.n_messages for rate in self.rates.values() if rate.type in (SCAN_TYPE, RANGE_TYPE))
+
+    def wait(self, patience: float | None = None) -> Run:
+        """Return the first seconds that contain a scan.
+
+        Raises
+        ------
+        LogError
+            If no scan arrives in time [s]; None: as in a recording.
+        """
+        until = time.monotonic() + (PATIENCE if patience is None else patience)
+        while time.monotonic() < until:
+            self.pump(0.5)
+            if self.n_scans > 2 and (run := self.recent()) is not None:
+                return run
+        names = ", ".join(sorted(self.network.topics)) or "no topic"
+        raise LogError(
+            f"no scan arrives in domain {self.network.domain} at {self.network.router}; found: {names}; start the driver, "
+            "select the topic (`topics` scan=/front/scan), or set `domain`"
+        )
+
+    def pump(self, duration: float) -> None:
+        """Take the messages that arrive within `duration` [s], and those that wait, for as long again."""
+        until = time.monotonic() + duration
+        while time.monotonic() < until + duration:
+            item = self.network.next(until)
+            if item is None and time.monotonic() >= until:
+                return
+            self._take(item)
+
+    def recent(self) -> Run | None:
+        """Return the latest seconds as a run; None if they contain no scan."""
+        return self._window.run("live", self.roles)
+
+    def _take(self, item: LiveMessage | PublishedTopic | None) -> None:
+        """Subscribe to an announced topic, or count and keep a received message."""
+        if isinstance(item, PublishedTopic) and self._is_wanted(item):
+            self.rates.setdefault(item.name, TopicRate(item.type))
+            self.network.listen(item)
+        elif isinstance(item, LiveMessage):
+            self.rates[item.topic.name].add(item)
+            self._window.add(item)
+
+    def _is_wanted(self, topic: PublishedTopic) -> bool:
+        if topic.type in (SCAN_TYPE, RANGE_TYPE) and "scan" in self.roles:
+            return any(_fits(topic.name, name) for name in self.roles["scan"].split(","))
+        return topic.type in KEPT_TYPES
+
+
+class LiveRecording(LiveScans):
     """Write all topics of a robot that a run needs to `NAME.mcap`, message by message.
 
     If the robot or the router disconnects, the recording waits and continues in the same file.
@@ -120,17 +189,14 @@ class LiveRecording:
         topics: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
     ) -> None:
-        check_roles(topics)
-        self.path, self.network, self.roles = path, network, dict(topics or {})
-        self.rates: dict[str, TopicRate] = {}
-        """Topic -> statistics of its messages."""
+        super().__init__(network, topics=topics, window=POSE_WINDOW)
+        self.path = path
         self.notes: list[str] = []
         """Notes on omitted data, one line each."""
         self.outages: list[Outage] = []
         self.began: float | None = None
         """[s] time of the first message since the epoch."""
         self._looked = 0.0
-        self._window = MessageWindow(WINDOW)
         self._file = RosFile(path)
         try:
             for name, data in (attachments or {}).items():
@@ -138,11 +204,6 @@ class LiveRecording:
         except BaseException:
             self._file.abandon()
             raise
-
-    @property
-    def n_scans(self) -> int:
-        """Number of messages with readings so far."""
-        return sum(rate.n_messages for rate in self.rates.values() if rate.type in (SCAN_TYPE, RANGE_TYPE))
 
     def wait_for_topics(self, patience: float | None = None) -> None:
         """Wait until a topic with readings and all selected topics are announced.
@@ -237,31 +298,19 @@ class LiveRecording:
             missing[-1] += " is"
         return missing
 
-    def _is_wanted(self, topic: PublishedTopic) -> bool:
-        if topic.type in (SCAN_TYPE, RANGE_TYPE) and "scan" in self.roles:
-            return any(_fits(topic.name, name) for name in self.roles["scan"].split(","))
-        return topic.type in KEPT_TYPES
-
     def _take(self, item: LiveMessage | PublishedTopic | None) -> None:
         """Subscribe to an announced topic, or write a received message."""
-        if isinstance(item, PublishedTopic):
-            if self._is_wanted(item):
-                first = self.rates.setdefault(item.name, TopicRate(item.type)).type
-                note = (
-                    f"{item.name} is published as {first} and as {item.type}; only the first type is written"
-                )
-                if first != item.type and note not in self.notes:
-                    self.notes.append(note)
-                self.network.listen(item)
-            return
-        if item is None:
-            return
-        if self.began is None:
-            self.began = item.received_ns / 1e9
-        name = item.topic.name
-        self._file.put(self._file.channel(name, item.topic.type), item.received_ns, item.payload)
-        self.rates[name].add(item)
-        self._window.add(item)
+        if isinstance(item, PublishedTopic) and self._is_wanted(item):
+            first = self.rates.setdefault(item.name, TopicRate(item.type)).type
+            note = f"{item.name} is published as {first} and as {item.type}; only the first type is written"
+            if first != item.type and note not in self.notes:
+                self.notes.append(note)
+        elif isinstance(item, LiveMessage):
+            if self.began is None:
+                self.began = item.received_ns / 1e9
+            channel = self._file.channel(item.topic.name, item.topic.type)
+            self._file.put(channel, item.received_ns, item.payload)
+        super()._take(item)
 
 
 def _fits(topic: str, pattern: str) -> bool:

@@ -129,7 +129,7 @@ def _watch_live(
     """Watch a running robot until Ctrl-C or until the time is over; return the level."""
     from logs import parse_topics
     from logs.live.network import DEFAULT_ROUTER, RosNetwork
-    from logs.live.watching import LiveScans
+    from logs.live.recording import LiveScans
     from sensorgraph.watching.live import LiveWatch
 
     with RosNetwork(router or DEFAULT_ROUTER, domain, wait=wait) as network:

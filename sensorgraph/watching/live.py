@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from logs.live.keys import PublishedTopic
 from logs.live.network import RosNetwork
-from logs.live.watching import LiveScans
+from logs.live.recording import LiveScans
 from logs.ros.diagnostics import DIAGNOSTICS_TYPE, MARKERS_TYPE, diagnostic_message, marker_message
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.watching.messages import DIAGNOSTICS_TOPIC, MARKERS_TOPIC, outlines_of, statements_of
