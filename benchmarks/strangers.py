@@ -37,7 +37,7 @@ from benchmarks.arguments import keep, kept, parser_of
 from benchmarks.locate import aligned
 from benchmarks.measures import processor_time
 from logs.formats import format_of
-from logs.formats.bag_folder import logs_in
+from logs.formats.rosbag import logs_in
 from logs.run import Run, pair
 from logs.transforms import compose, invert
 from sensorgraph.cli.inputs import read_options

@@ -25,7 +25,7 @@ from rosbag_samples import (
 import logs
 from logs import stream
 from logs.notes import assumptions_of
-from logs.ros.multi_echo import first_echoes
+from logs.ros.laser_messages import first_echoes
 from logs.ros.recording import (
     MULTI_ECHO_TYPE,
     ODOMETRY_TYPE,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from math import tau
 from typing import Any
@@ -15,9 +15,9 @@ from logs.errors import LogError
 from logs.ros import cdr
 from logs.ros.cloud_points import MAX_ELEVATION, Cloud, Plane, decode, horizontal
 from logs.ros.cloud_turns import Grid, TurnScans, find_grid
-from logs.ros.messages import header
+from logs.ros.messages import header, scan_topic
 from logs.ros.poses import FIXED_FRAMES, FLOOR_FRAME, base_of
-from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, transform_tree
+from logs.ros.recording import TF_TYPE, Recording, Topic, transform_tree
 from logs.ros.transform_tree import TransformTree, to_matrices
 from logs.transforms import to_translation_quaternion
 from logs.types import Floats
@@ -173,20 +173,8 @@ def _messages(topic: Topic, scans: TurnScans, frame: str) -> Topic:
     first -= tau * np.floor((first + width / 2) / tau + 0.5)  # the middle is between -pi and pi
     top = float(ranges[np.isfinite(ranges)].max())
     limits = np.array([first, first + width, grid.sign * grid.step, delay, grid.period, 0.0, top])
-    known = {"intensities": intensities[:, some]} if np.isfinite(intensities).any() else {}
-    rows = cdr.pack(
-        SCAN_TYPE, len(ns), strings={"frame_id": frame},
-        columns={**header(ns), "limits": limits, "ranges": ranges[:, some], **known},
-    )  # fmt: skip
-    payloads = cdr.Messages(row.tobytes() for row in rows)
-    return replace(
-        topic,
-        type=SCAN_TYPE,
-        encoding="cdr",
-        payloads=payloads,
-        n_messages=len(ns),
-        log_times=[scan.logged for scan in scans.scans],
-    )
+    logged = [scan.logged for scan in scans.scans]
+    return scan_topic(topic, ns, logged, frame, limits, ranges[:, some], intensities[:, some])
 
 
 def _times_note(name: str, grid: Grid, clouds: Sequence[Cloud]) -> str:

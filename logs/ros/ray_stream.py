@@ -12,7 +12,7 @@ that each ray has the same bearing and the same time after its stamp in all scan
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import tau
 
 import numpy as np
@@ -22,8 +22,8 @@ from logs.resampling import SAME_BEARING, resample, take_nearest
 from logs.ros import cdr
 from logs.ros.cloud_turns import MIN_WHOLE
 from logs.ros.laser_scan import ShapeCensus
-from logs.ros.messages import header
-from logs.ros.recording import SCAN_TYPE, Topic, logged_times
+from logs.ros.messages import scan_topic
+from logs.ros.recording import Topic, logged_times
 from logs.transforms import wrap
 from logs.types import Floats
 
@@ -183,16 +183,9 @@ def _cut(
     sign = np.sign(stream.step)
     limits = stream.limits.copy()
     limits[:5] = first, first + sign * wanted[-1], sign * tau / n, tau / n / rate, tau / rate
-    known = {"intensities": np.stack(strong)} if np.isfinite(intensities).any() else {}
-    packed = cdr.pack(
-        SCAN_TYPE, len(stamps), strings={"frame_id": stream.frame},
-        columns={**header(np.array(stamps)), "limits": limits, "ranges": np.stack(taken), **known},
-    )  # fmt: skip
     note = (
         f"{topic.name}: scans begin where the last one ended, so their rays were cut into {len(stamps)} full turns "
         f"of {tau / rate:.4g} s ({len(rows) - len(stamps)} incomplete turns were left out)"
     )
-    payloads = cdr.Messages(row.tobytes() for row in packed)
-    return replace(
-        topic, encoding="cdr", payloads=payloads, n_messages=len(stamps), log_times=list(logged)
-    ), [note]
+    cut = scan_topic(topic, np.array(stamps), logged, stream.frame, limits, np.stack(taken), np.stack(strong))
+    return cut, [note]

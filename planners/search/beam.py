@@ -6,12 +6,12 @@ clearance.
 
 Score. A node n' is the end of branch j from a node n at time t(n), so t(n') = t(n) + cost[m, j]. Its score is:
 
-    score(n') = score(n) + (1 - discount t(n) / horizon) Σ value[c] (1 + completion_weight (1 - missing[c] / n_phi)).
+    score(n') = score(n) + (1 - DISCOUNT t(n) / horizon) Σ value[c] (1 + completion_weight (1 - missing[c] / n_phi)).
 
 The sum is over the bins that the branch covers and that the path to n has not covered; c is the cell of each
 bin. A node at or beyond the horizon, t(n') ≥ horizon, has a penalty:
 
-    goal_pull min(far[c], 1000) + overtime (t(n') - horizon).
+    GOAL_PULL min(far[c], 1000) + OVERTIME (t(n') - horizon).
 
 Here far[c] is the number of cell borders to the nearest cell with a missing bin.
 
