@@ -2,6 +2,8 @@
 
 `np.argsort` and slices take seconds to compile, because numba compiles their error messages too. These
 kernels take a tenth of that. A heap also runs faster when only the first entries of the order are needed.
+Heap property: costs[heap[i]] ≤ costs[heap[2 i + 1]] and ≤ costs[heap[2 i + 2]] (bottom-up heapsort, I. Wegener,
+Theoretical Computer Science 118, 1993).
 """
 
 from __future__ import annotations

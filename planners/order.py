@@ -5,9 +5,10 @@ joins:
 
     total = Σ cost[exit of run k, entry of run k + 1].
 
-2-opt reverses a stretch of runs. Or-opt moves one to three runs elsewhere, in either direction. Random
-perturbations of the best tour lead out of local optima. The constants were set with `python -m
-benchmarks.coverage_planners --planner stop_and_spin` and `--large 50 36`.
+2-opt (G. A. Croes, Operations Research 6, 1958) reverses a stretch of runs. Or-opt (I. Or, thesis, Northwestern
+University, 1976) moves one to three runs elsewhere, in either direction. Random perturbations of the best tour
+lead out of local optima. The constants were set with `python -m benchmarks.coverage_planners --planner
+stop_and_spin` and `--large 50 36`.
 """
 
 from __future__ import annotations

@@ -4,9 +4,10 @@ Every state of the wavefront is one that the car can be in, and each cell of a f
 path is therefore found through any gap that the lattice resolves; planners with random samples find such gaps
 only by chance.
 
-`wavefront` gives all states that a car can reach, or the path to the first bin. The reached set R contains the lattice cell of the start state. For each state s in R it contains the cell of
-f(s, j), for every clear branch j with its end in `allowed`. Each cell keeps the first state that enters it
-(breadth-first search), so every state in R is one that the car can be in.
+`wavefront` gives all states that a car can reach, or the path to the first bin. The reached set R contains the
+lattice cell of the start state. For each state s in R it contains the cell of f(s, j), for every clear branch j
+with its end in `allowed`. Each cell keeps the first state that enters it (breadth-first search), so every state
+in R is one that the car can be in.
 """
 
 from __future__ import annotations

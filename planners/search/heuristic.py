@@ -6,7 +6,8 @@ The cost-to-go V [units of time] is 0 if the bin of s is missing. Otherwise:
     V(s) = min over j of  cost[j] + pause [g ≠ gear[j]] + V(f(s, j)).
 
 Dijkstra's algorithm solves this backward from all missing
-bins near the car, with a bucket queue for the integer costs (Dial's algorithm).
+bins near the car, with a bucket queue for the integer costs (R. B. Dial, Algorithm 360, Communications of the
+ACM 12, 1969).
 
 The map guides the search for the nearest bin; unlike distances in cells, it includes headings. For a car, the
 bin next to it may be ten metres away. The map is no bound: the ends of primitives are rounded to lattice

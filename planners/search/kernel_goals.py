@@ -37,8 +37,9 @@ def cell_distance(x: float, y: float, world: SearchWorld, far: Ints) -> int:
 def cell_distances(world: SearchWorld, far: Ints, queue: Ints) -> None:
     """Fill `far (nx, ny)` with the number of cell borders to the nearest cell with a missing bin.
 
-    The recurrence is far[c] = 0 in cells with a missing bin, else 1 + min far over the neighbours with an
-    open border. It is solved by breadth-first search from all cells with a missing bin (grassfire transform).
+        The recurrence is far[c] = 0 in cells with a missing bin, else 1 + min far over the neighbours with an
+        open border. It is solved by breadth-first search from all cells with a missing bin (grassfire transform, H. Blum
+    1967).
     """
     missing, open_borders = world.missing, world.open_borders
     nx, ny = missing.shape
