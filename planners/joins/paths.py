@@ -79,8 +79,6 @@ def connect(
         found = _query_in_batches(starts[blocked], ends[blocked], reach, seed)
         for k, corners in zip(blocked.tolist(), found, strict=True):
             paths[k] = _certified_path(corners, barriers, reach.clearance)
-            if paths[k] is None:
-                paths[k] = _certified_path(corners, barriers, reach.clearance - CLEARANCE_SLACK)
             if paths[k] is None and in_parts:
                 paths[k] = _connect_in_parts(starts[k], ends[k], reach, barriers, seed)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
@@ -109,8 +107,6 @@ def connect_nearest(
         return np.stack([start, goals[nearest[clear.argmax()]]]), JoinCounts(direct=1)
     (found,) = _query(start[None], [goals[nearest[:MAX_GOALS]]], reach, seed)
     path = _certified_path(found, barriers, reach.clearance)
-    if path is None:
-        path = _certified_path(found, barriers, reach.clearance - CLEARANCE_SLACK)
     if path is None:
         path = _connect_in_parts(start, goals[nearest[0]], reach, barriers, seed)
     if path is None:
@@ -155,10 +151,9 @@ def _path_over_nodes(
     nodes = raster_path(start, end, reach)
     if nodes is None:
         return None
-    for slack in (0.0, CLEARANCE_SLACK):
-        path = _certified_path(nodes, barriers, reach.clearance - slack)
-        if path is not None:
-            return path
+    path = _certified_path(nodes, barriers, reach.clearance)
+    if path is not None:
+        return path
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(nodes, axis=0).T))])
     if along[-1] <= LEG_LENGTH:
         return None
@@ -176,18 +171,21 @@ def _joined_legs(
 
 
 def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
-    """Remove needless corners; None if the exact clearance does not hold along the path."""
+    """Remove needless corners; None if the exact clearance, less the slack if needed, does not hold along the path."""
     if len(path) < 2:
         return None
-    kept = [0]
-    while kept[-1] < len(path) - 1:
-        later = np.arange(len(path) - 1, kept[-1], -1)
-        here = np.repeat(path[kept[-1]][None], len(later), axis=0)
-        clear = barriers.are_clear(here, path[later], clearance)
-        if not clear.any():
-            return None
-        kept.append(int(later[clear.argmax()]))
-    return path[kept]
+    for least in (clearance, clearance - CLEARANCE_SLACK):
+        kept = [0]
+        while kept[-1] < len(path) - 1:
+            later = np.arange(len(path) - 1, kept[-1], -1)
+            here = np.repeat(path[kept[-1]][None], len(later), axis=0)
+            clear = barriers.are_clear(here, path[later], least)
+            if not clear.any():
+                break
+            kept.append(int(later[clear.argmax()]))
+        else:
+            return path[kept]
+    return None
 
 
 def _query_in_batches(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:

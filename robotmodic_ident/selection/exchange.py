@@ -146,39 +146,22 @@ def keep_best(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> 
 
 
 @inner_kernel
-def grow(
-    a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
+def resize(
+    a: Floats, inside: Bools, locked: Bools, usable: Bools, up: bool, swap: bool, rss: Floats, sets: Bools
 ) -> bool:
-    """Add terms one by one up to the largest size, with exchanges after each; return whether any size improved."""
+    """Add terms one by one up to the largest size, or remove them down to one, with exchanges after each.
+
+    Returns whether any size improved.
+    """
     better = False
     size = size_of(inside)
-    while size < len(rss) - 1:
-        j = best_addition(a, inside, usable)
+    while (up and size < len(rss) - 1) or (not up and size > 1):
+        j = best_addition(a, inside, usable) if up else best_removal(a, inside, locked)
         if j < 0:
             break
         sweep(a, j)
-        inside[j] = True
-        size += 1
-        if swap:
-            exchange_all(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
-        better = keep_best(a, inside, size, rss, sets) or better
-    return better
-
-
-@inner_kernel
-def shrink(
-    a: Floats, inside: Bools, locked: Bools, usable: Bools, swap: bool, rss: Floats, sets: Bools
-) -> bool:
-    """Remove terms one by one, with exchanges after each; return whether any size improved."""
-    better = False
-    size = size_of(inside)
-    while size > 1:
-        i = best_removal(a, inside, locked)
-        if i < 0:
-            break
-        sweep(a, i)
-        inside[i] = False
-        size -= 1
+        inside[j] = up
+        size += 1 if up else -1
         if swap:
             exchange_all(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
         better = keep_best(a, inside, size, rss, sets) or better
@@ -240,13 +223,13 @@ def search_one(
     copy_mask(locked, inside)
     sweep_from(a, original, inside)
     keep_best(a, inside, size_of(inside), rss, sets)
-    grow(a, inside, locked, usable, swap, rss, sets)
+    resize(a, inside, locked, usable, True, swap, rss, sets)
     if swap:
         for _ in range(MAX_PASSES):
             sweep_from(a, original, inside)
-            better = shrink(a, inside, locked, usable, swap, rss, sets)
+            better = resize(a, inside, locked, usable, False, swap, rss, sets)
             sweep_from(a, original, inside)
-            better = grow(a, inside, locked, usable, swap, rss, sets) or better
+            better = resize(a, inside, locked, usable, True, swap, rss, sets) or better
             better = shrink_best(a, original, spare, locked, usable, rss, sets) or better
             if not better:
                 break
@@ -267,7 +250,7 @@ def search_one(
             if a[first, first] > DEPENDENCE_TOLERANCE and size_of(inside) < n_max:
                 inside[first] = True
                 sweep(a, first)
-                grow(a, inside, locked, usable, swap, rss, sets)
+                resize(a, inside, locked, usable, True, swap, rss, sets)
 
 
 @inner_kernel
