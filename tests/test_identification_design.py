@@ -34,7 +34,7 @@ from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, load_robot
 from sensorgraph.world.wall_distance import WallDistance
 
-QUICK = replace(DESIGN, population=12, elite=4, rounds=8, search_duration=15.0, n_predicted=5)
+QUICK = replace(DESIGN, population=12, rounds=8, search_duration=15.0, n_predicted=5)
 TASK = DesignTask(wall_distance=0.6, speed=0.25, duration=20.0)
 INPUTS = ("L0-40", "L70-110")
 
@@ -128,7 +128,7 @@ def _error(drive: ExecutedDrive, walls: WallDistance) -> float:
 
 def test_starts_have_the_wall_on_the_right(arena: Arena, robot: Robot) -> None:
     walls = WallDistance(arena)
-    starts = start_poses(walls, arena, robot, 0.5, 3)
+    starts = start_poses(walls, arena, 0.5, 3)
     for x, y, phi in starts:
         assert abs(walls(x, y) - 0.5) < 0.05
         right = walls(x + 0.2 * np.sin(phi), y - 0.2 * np.cos(phi))

@@ -23,7 +23,13 @@ from sensorgraph.models.calibration.normal_equations import (
     standard_errors,
 )
 from sensorgraph.models.calibration.pose_refinement import compose_poses, refine_poses
-from sensorgraph.models.calibration.ray_terms import INCIDENCE_POWERS, N_INCIDENCE, RayTerms, incidence_bias
+from sensorgraph.models.calibration.ray_terms import (
+    INCIDENCE_POWERS,
+    MAX_OPTIC_RANGE,
+    N_INCIDENCE,
+    RayTerms,
+    incidence_bias,
+)
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.ray_march import FaceSet
@@ -38,6 +44,13 @@ BEARINGS = np.radians(np.linspace(-120, 120, 61))
 SIGMA = 0.005
 OFFSET = np.array([0.04, -0.02, 0.01])
 STATED = np.array([0.1, 0.0, 0.0])
+
+
+def reading_of(terms: RayTerms, rho: Floats, cosine: Floats) -> Floats:
+    """Return the readings (n, n_rays) at true ranges and |n·u| of the same shape, in numpy."""
+    v, q = 1 - cosine, np.minimum(rho, MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE
+    shared = sum(s * v**a * q**b for s, (a, b) in zip(terms.incidence, INCIDENCE_POWERS, strict=True))
+    return np.asarray(rho + terms.constant + terms.slope * rho + shared)
 
 
 def room(*, empty: bool = False) -> str:
@@ -86,7 +99,7 @@ def log(
     """Return poses, ranges with noise and without."""
     poses = poses_in_room(n, rng)
     hits = cast(geojson.loads(room(empty=empty)), poses, sensor_at(mount))
-    exact = hits.ranges if terms is None else terms.reading(hits.ranges, np.cos(hits.incidence))
+    exact = hits.ranges if terms is None else reading_of(terms, hits.ranges, np.cos(hits.incidence))
     return poses, exact + rng.normal(0, SIGMA, exact.shape), exact
 
 
@@ -120,7 +133,7 @@ def test_kernel_of_incidence_terms_agrees_with_the_plain_form() -> None:
     rng = np.random.default_rng(1)
     terms = RayTerms(constant=np.zeros(1), slope=np.zeros(1), incidence=rng.normal(size=N_INCIDENCE))
     for rho, den in zip(rng.uniform(0.1, 9, 50), -rng.uniform(0, 1, 50), strict=True):
-        plain = terms.reading(np.array([rho]), np.array([-den]))[0] - rho
+        plain = reading_of(terms, np.array([rho]), np.array([-den]))[0] - rho
         assert incidence_bias(den, rho, terms.incidence) == pytest.approx(plain, abs=1e-12)
 
 
@@ -137,7 +150,7 @@ def test_the_mean_of_the_incidence_terms_is_that_of_the_plain_form() -> None:
     matches = match_readings(readings_from(ranges), lasers, none, true_faces(), ReturnNoise(sigma=0.03), 0.0)
     known = matches.weight > 0
     plain = [
-        terms.reading(np.array([rho]), np.array([-den]))[0] - rho
+        reading_of(terms, np.array([rho]), np.array([-den]))[0] - rho
         for rho, den in zip(matches.rho[known], matches.den[known], strict=True)
     ]
     assert mean_incidence(matches, terms) == pytest.approx(np.mean(plain), abs=1e-9)

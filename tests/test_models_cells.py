@@ -27,6 +27,7 @@ from sensorgraph.models.cells.ray_march import (
     RATES,
     CellTable,
     list_candidates,
+    new_work,
     stop_candidates,
     tabulate,
 )
@@ -172,14 +173,12 @@ def a_table() -> CellTable:
 
 def test_candidates_agree_with_their_plain_twin_also_from_outside() -> None:
     table = a_table()
-    size = max_cells_met(table.reach, table.cell)
-    at, room_for = np.empty((size, 2), dtype=np.int64), [np.empty(size) for _ in range(5)]
-    rng = np.random.default_rng(6)
+    work, rng = new_work(table), np.random.default_rng(6)
     for x, y, angle in [*some_poses(rng, 40), (-30.0, 2.0, 0.0), (2.0, 50.0, 1.0)]:
         ray = x, y, math.cos(angle), math.sin(angle)
-        n, left = stop_candidates(*ray, table, at, *room_for)
+        n, left = stop_candidates(*ray, table, work)
         plain = stop_candidates_plain(*ray, table)
-        _, r, w, sigma, unseen = (values[:n] for values in room_for)
+        r, w, sigma, unseen = (values[:n] for values in work[2:])
         for fast, slow in zip((r, w, sigma, unseen), plain[:4], strict=True):
             np.testing.assert_allclose(fast, slow, atol=1e-9)
         assert left == pytest.approx(plain[4], abs=1e-12)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from benchmarks.plain_mixture import summarise_plain
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
-from sensorgraph.models.mixture import summarise, summarise_plain, to_prediction, which_of
+from sensorgraph.models.mixture import summarise, to_prediction, which_of
 
 FAR = 12.0
 

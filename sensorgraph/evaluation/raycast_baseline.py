@@ -16,6 +16,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
+from sensorgraph.models.mixture import gaussian_prediction
 from sensorgraph.types import Ints, Progress
 from sensorgraph.work_counter import WorkCounter
 from sensorgraph.world.ray_order import with_rays_like
@@ -107,13 +108,5 @@ def _prediction_of(scene: Scene) -> Prediction:
     p_no_return = 1 - (1 - beyond) * beams.p_return
     value = np.minimum(beams.reading, sensor.range_max)
     p_outlier = 1 - (1 - scene.shorts) * (1 - scene.outliers)
-    return Prediction(
-        ranges=np.where(p_no_return > 0.5, np.inf, value),
-        median=value,
-        mode=value,
-        mean=value,
-        sigma=sigma,
-        p_no_return=p_no_return,
-        p_off=p_outlier + (1 - p_outlier) * 2 * ndtr(-OFF_DISTANCE / sigma),
-        answered=np.ones(shape, dtype=np.bool_),
-    )
+    p_off = p_outlier + (1 - p_outlier) * 2 * ndtr(-OFF_DISTANCE / sigma)
+    return gaussian_prediction(value, sigma, p_no_return, p_off, np.ones(shape, dtype=np.bool_))

@@ -3,9 +3,9 @@
 The coefficients theta are searched by the cross-entropy method (Rubinstein 1999) with common random numbers:
 
     Sample: theta_k ~ N(mean, spread²) for k = 1 ... population.
-    Update: mean   <- smoothing mean(elite) + (1 - smoothing) mean, where the elite has the lowest cost.
-    Update: spread <- smoothing std(elite)  + (1 - smoothing) spread.
-    Cost: distance_error / distance_unit² + (4 max(turn_change / smoothness - 1, 0))² + touching_cost touching.
+    Update: mean   <- SMOOTHING mean(elite) + (1 - SMOOTHING) mean, where the elite has the lowest cost.
+    Update: spread <- SMOOTHING std(elite)  + (1 - SMOOTHING) spread.
+    Cost: distance_error / DISTANCE_UNIT² + (4 max(turn_change / smoothness - 1, 0))² + TOUCHING_COST touching.
 
 The closed loop is predicted by drives of the simulated robot in the graph, from nearby starts and with new noise.
 """
@@ -47,28 +47,25 @@ OUTPUT = "cmd_omega"
 DEFAULT_INPUTS = ("L0-30", "L30-60", "L75-105")
 """Mean ranges to the right, ahead on the right, and ahead."""
 
+ELITE = 4
+"""The elite is one of so many controllers."""
+FIRST_SPREAD, SMOOTHING = 1.0, 0.7
+"""[rad/s per m] Standard deviation of the coefficients in the first round; weight of the elite in the next round."""
+N_STARTS = 2
+DISTANCE_UNIT, TOUCHING_COST = 0.1, 100.0
+"""[m] RMS error of the wall distance of cost 1, as an excess of the smoothness by 25 %; cost of permanent contact."""
 OUTER_SHARE = 0.25
 """Share of the places at the requested distance that are candidates for a start: those nearest to the bounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignSettings:
-    """Settings of search and prediction, tuned on designs in the shipped square."""
+    """Effort of search and prediction, and the start of the drives; set on designs in the shipped square."""
 
     population: int = 24
-    elite: int = 6
     rounds: int = 20
-    spread: float = 1.0
-    """[rad/s per m] Standard deviation of the coefficients in the first round."""
-    smoothing: float = 0.7
-    """Weight of the elite's mean and spread in the next round."""
     search_duration: float = 30.0
     """[s] Maximum duration of a drive in the search."""
-    n_starts: int = 2
-    distance_unit: float = 0.1
-    """[m] RMS error of the wall distance of cost 1; an excess of the smoothness by 25 % has the same cost."""
-    touching_cost: float = 100.0
-    """Cost of permanent contact with a wall."""
     n_predicted: int = 8
     """Number of drives from which the behaviour is predicted."""
     start_spread: tuple[float, float] = (0.02, 0.05)
@@ -155,7 +152,7 @@ def design(
         )
     walls = arena_of(graph)
     clearance = WallDistance(walls)
-    starts = start_poses(clearance, walls, robot, task.wall_distance, settings.n_starts)
+    starts = start_poses(clearance, walls, task.wall_distance, N_STARTS)
     mount = robot.sensor.mount if graph.pose_frame == "laser" else np.zeros(3)
     world = IdentifiedWorld(graph, robot, seed)
     rays = {variable(name): world.rays[rays_of(robot.sensor, name)] for name in inputs}
@@ -189,7 +186,7 @@ def drive_design(
     return drive, quantities(drive, clearance, middle, 1.0 / robot.sensor.rate)
 
 
-def start_poses(walls: WallDistance, arena: Arena, robot: Robot, distance: float, n: int) -> Floats:
+def start_poses(walls: WallDistance, arena: Arena, distance: float, n: int) -> Floats:
     """Return poses (n, 3) at a distance [m] from the nearest wall on the right, spread along the outer walls.
 
     Raises
@@ -233,8 +230,8 @@ def _searched(
     rng = np.random.default_rng([seed, 7])
     mean = np.zeros(len(terms))
     linear = [len(term) == 1 and term[0].power == 1 for term in terms]
-    mean[linear] = -settings.spread  # turn left if a wall is near
-    spread = np.full(len(terms), settings.spread)
+    mean[linear] = -FIRST_SPREAD  # turn left if a wall is near
+    spread = np.full(len(terms), FIRST_SPREAD)
     best, least = mean, np.inf
     for round_ in range(settings.rounds):
         theta = mean + spread * rng.normal(size=(settings.population, len(terms)))
@@ -244,14 +241,14 @@ def _searched(
             duration=min(task.duration, settings.search_duration),
         )  # fmt: skip
         rough = np.maximum(drives.turn_change / task.smoothness - 1.0, 0.0)
-        cost = drives.distance_error / settings.distance_unit**2 + (4.0 * rough) ** 2
-        cost = (cost + settings.touching_cost * drives.touching).mean(axis=1)
+        cost = drives.distance_error / DISTANCE_UNIT**2 + (4.0 * rough) ** 2
+        cost = (cost + TOUCHING_COST * drives.touching).mean(axis=1)
         order = np.argsort(cost)
         if cost[order[0]] < least:
             best, least = theta[order[0]], float(cost[order[0]])
-        elite = theta[order[: settings.elite]]
-        mean = settings.smoothing * elite.mean(axis=0) + (1 - settings.smoothing) * mean
-        spread = settings.smoothing * elite.std(axis=0) + (1 - settings.smoothing) * spread
+        elite = theta[order[: max(settings.population // ELITE, 2)]]
+        mean = SMOOTHING * elite.mean(axis=0) + (1 - SMOOTHING) * mean
+        spread = SMOOTHING * elite.std(axis=0) + (1 - SMOOTHING) * spread
         if progress is not None:
             progress(round_ + 1, settings.rounds)
     return best

@@ -10,8 +10,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import ndtr
 
 from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
@@ -141,32 +139,6 @@ def summarise(
     return median, mode, mean, math.sqrt(variance / total), leftover, off
 
 
-def summarise_plain(
-    r: Floats, w: Floats, s: Floats, n: int, leftover: float, farthest: float, which: int
-) -> tuple[float, float, float, float, float, float]:
-    """Compute `summarise` in numpy: the reference implementation that tests compare the kernel with."""
-    r, w, s = r[:n], w[:n], s[:n]
-    total = float(w.sum())
-    if total <= MIN_WEIGHT:
-        return farthest, farthest, farthest, farthest, leftover, 1.0
-    mean = float(w @ r) / total
-    sigma = math.sqrt(float(w @ ((r - mean) ** 2 + s**2)) / total)
-    median = _median_plain(r, w, s)
-    inside = (r >= r[:, None]) & (r <= (r + TAIL * s)[:, None])  # (window, candidate)
-    inside &= np.arange(n) >= np.arange(n)[:, None]
-    window = inside[int(np.argmax(inside @ w))]
-    mode = _median_plain(r[window], w[window], s[window])
-    point = (mode, median, mean)[which]
-    near = w @ (ndtr((point + OFF_DISTANCE - r) / s) - ndtr((point - OFF_DISTANCE - r) / s))
-    return median, mode, mean, sigma, leftover, min(max(1.0 - float(near) / total, 0.0), 1.0)
-
-
-def _median_plain(r: Floats, w: Floats, s: Floats) -> float:
-    total = float(w.sum())
-    low, high = float((r - 9 * s).min()), float((r + 9 * s).max())
-    return float(brentq(lambda x: float(w @ ndtr((x - r) / s)) - total / 2, low, high, xtol=1e-12))
-
-
 def to_prediction(table: NDArray[np.float64], point: Point, answered: Bools) -> Prediction:
     """Convert summaries (n_poses, n_rays, 6) to a prediction; `table` was made with `which_of(point)`."""
     values = {"median": table[..., MEDIAN], "mode": table[..., MODE], "mean": table[..., MEAN]}
@@ -181,6 +153,16 @@ def to_prediction(table: NDArray[np.float64], point: Point, answered: Bools) -> 
         mode=values["mode"],
         mean=values["mean"],
     )
+
+
+def gaussian_prediction(
+    value: Floats, sigma: Floats, p_no_return: Floats, p_off: Floats, answered: Bools
+) -> Prediction:
+    """Return the prediction of one Gaussian for each ray, whose median, mode and mean are equal; all (n_poses, n_rays)."""
+    return Prediction(
+        ranges=np.where(p_no_return > 0.5, np.inf, value), median=value, mode=value, mean=value, sigma=sigma,
+        p_no_return=p_no_return, p_off=p_off, answered=answered,
+    )  # fmt: skip
 
 
 def which_of(point: Point) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,14 +50,8 @@ class Readings:
 
     def take(self, index: Ints | slice | Bools) -> Readings:
         """Return some of the readings."""
-        return Readings(
-            scan=self.scan[index],
-            pose=self.pose[index],
-            ray=self.ray[index],
-            ranges=self.ranges[index],
-            bearings=self.bearings,
-            range_max=self.range_max,
-        )
+        some = {name: getattr(self, name)[index] for name in ("scan", "pose", "ray", "ranges")}
+        return replace(self, **some)
 
 
 def readings_of(sample: RaySample, sensor: RangeSensor) -> tuple[Readings, Floats]:
@@ -169,6 +163,11 @@ def _match_readings(
     rays: Any, ray: Any, faces: Any, buckets: Any, noise: Any, terms: Any, mean_bias: Any, march: Any, face: Any,
     values: Any,
 ) -> Any:  # fmt: skip
+    """Fill face (n,) and values (n, 7), the other fields of `Matches`: the face m that most probably stopped each ray.
+
+    p_m = S_m alpha_m N(e_m; 0, var_m) as in `faces.visibility`, with the residual of the corrected range
+    e_m = (z - c_0 - S(v_m, q_m)) / (1 + c_1) - r_m. Its probability is p_m / (sum_i p_i + before * stray).
+    """
     normals, _, first, _, levels, _, _ = faces
     origins, directions, ranges, range_max, _ = rays
     constant, slope, s = terms

@@ -29,6 +29,7 @@ import numpy as np
 
 from planners.kernel import kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
+from sensorgraph.models.calibration.pose_refinement import pose_slopes
 from sensorgraph.models.calibration.ray_terms import MAX_OPTIC_RANGE, N_INCIDENCE, incidence_terms
 from sensorgraph.models.faces.maximisation import moved_lines
 from sensorgraph.models.faces.ray_march import FaceSet
@@ -237,6 +238,10 @@ def _accumulate(
     face_rhs: Any,
     coupling: Any,
 ) -> Any:
+    """Add the returns to the normal equations of the module: row (x, y0, y1) of a return, weight w and residual e.
+
+    The upper half of `matrix` stays 0.
+    """
     n_rays = (len(rhs) - N_COMMON) // 2
     x, where = np.empty(N_COMMON + 2), np.empty(N_COMMON + 2, np.int64)
     for a in range(N_COMMON):
@@ -246,10 +251,7 @@ def _accumulate(
         if w <= 0:
             continue
         f = face[i]
-        nx, ny = normals[f, 0], normals[f, 1]
-        x[0] = -(nx * cos[i] + ny * sin[i]) / den[i]
-        x[1] = -(ny * cos[i] - nx * sin[i]) / den[i]
-        x[2] = rho[i] * along[i] / den[i]
+        x[0], x[1], x[2] = pose_slopes(normals[f], cos[i], sin[i], rho[i], den[i], along[i])
         x[3], x[4] = 1.0, rho[i]
         incidence_terms(1.0 - abs(den[i]), min(rho[i], MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE, x[5:N_COMMON])
         x[N_COMMON], x[N_COMMON + 1] = 1.0, rho[i]

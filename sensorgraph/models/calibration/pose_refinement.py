@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
@@ -131,6 +131,19 @@ class LaserPoses:
         return self._moved[2]
 
 
+@inner_kernel
+def pose_slopes(normal: Any, cos: Any, sin: Any, rho: Any, den: Any, along: Any) -> Any:
+    """Return a = (-n·e_x, -n·e_y, rho t·u) / n·u: change of a residual with x, y [m] and yaw [rad] of the laser in its own frame.
+
+    Parameters
+    ----------
+    cos, sin : Of the heading: e_x = (cos, sin), e_y = (-sin, cos).
+    den, along : n·u and t·u.
+    """
+    nx, ny = normal
+    return -(nx * cos + ny * sin) / den, -(ny * cos - nx * sin) / den, rho * along / den
+
+
 @kernel
 def _pose_equations(
     scan: Any,
@@ -146,15 +159,13 @@ def _pose_equations(
     information: Any,
     rhs: Any,
 ) -> Any:
+    """Add H_i = sum_j w_j a_j a_j' to `information` (n, 3, 3) and g_i = sum_j w_j e_j a_j to `rhs` (n, 3) of each scan."""
     x = np.empty(3)
     for i in range(len(scan)):
         w = weight[i]
         if w <= 0:
             continue
-        nx, ny = normals[face[i], 0], normals[face[i], 1]
-        x[0] = -(nx * cos[i] + ny * sin[i]) / den[i]
-        x[1] = -(ny * cos[i] - nx * sin[i]) / den[i]
-        x[2] = rho[i] * along[i] / den[i]
+        x[0], x[1], x[2] = pose_slopes(normals[face[i]], cos[i], sin[i], rho[i], den[i], along[i])
         for a in range(3):
             rhs[scan[i], a] += w * residual[i] * x[a]
             for b in range(3):

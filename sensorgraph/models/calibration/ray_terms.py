@@ -48,12 +48,6 @@ class RayTerms:
         """Return whether the reading depends on the incidence."""
         return bool((self.incidence != 0).any())
 
-    def reading(self, rho: Floats, incidence_cos: Floats) -> Floats:
-        """Evaluate the reading (n, n_rays) at true ranges and |n·u| of the same shape; numpy reference implementation."""
-        v, q = 1 - incidence_cos, np.minimum(rho, MAX_OPTIC_RANGE) / MAX_OPTIC_RANGE
-        shared = sum(s * v**a * q**b for s, (a, b) in zip(self.incidence, INCIDENCE_POWERS, strict=True))
-        return np.asarray(rho + self.constant + self.slope * rho + shared, dtype=np.float64)
-
     def equation(self, ray: int) -> str:
         """Return the text of what is added to the range rho of one ray; empty without terms."""
         parts = [(self.constant[ray], ""), (self.slope[ray], "rho")]

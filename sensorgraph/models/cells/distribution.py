@@ -27,9 +27,9 @@ import numpy as np
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.evidence import MIN_RANGE
-from sensorgraph.models.cells.grid import max_cells_met, per_ray
+from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.learning import SetAside
-from sensorgraph.models.cells.ray_march import MAX_MERGED, CellTable, stop_candidates
+from sensorgraph.models.cells.ray_march import MAX_MERGED, CellTable, RayWork, candidates_of, new_work
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.distribution import DENSITY_AT_0, SQRT_HALF, TAIL, count_of, density_at, total_of
 from sensorgraph.models.likelihood import MIN_DENSITY, log_density_of
@@ -146,8 +146,8 @@ def shape_mixtures(
 
 @kernel
 def fill_log_likelihoods(
-    poses: Floats, bearings: Floats, table: CellTable, reliability: Floats, tails: Floats, beyond: Any,
-    ranges: Floats, range_min: float, out: Floats, supported: Bools,
+    poses: Floats, bearings: Floats, table: CellTable, work: RayWork, reliability: Floats, tails: Floats,
+    beyond: Any, ranges: Floats, range_min: float, out: Floats, supported: Bools,
 ) -> None:  # fmt: skip
     """Fill out (n_poses, n_rays, n_readings) with log-likelihoods, and whether rays crossed the space before the mode.
 
@@ -157,18 +157,12 @@ def fill_log_likelihoods(
     ranges : (1 or n_poses, n_rays, n_readings) [m] Readings of each ray, in the convention of REP-117.
     supported : (n_poses, n_rays) Filled.
     """
-    size = max_cells_met(table.reach, table.cell)
-    at = np.empty((size, 2), dtype=np.int64)
-    ends, unseen = np.empty(size), np.empty(size)
-    r, w, s = np.empty(2 * size), np.empty(2 * size), np.empty(2 * size)
+    _, _, r, w, s, unseen = work
     nothing, density_beyond = beyond
     nearest = max(range_min, MIN_RANGE)
     for p in range(len(poses)):
         for q in range(len(bearings)):
-            angle = poses[p, 2] + bearings[q]
-            n, survival = stop_candidates(
-                poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends, r, w, s, unseen
-            )
+            n, survival = candidates_of(p, q, poses, bearings, table, work)
             length = 0.0
             mode, n_parts = shape_mixture(r, w, s, n, table.reach, reliability, tails)
             for k in range(n):
@@ -188,27 +182,21 @@ def fill_log_likelihoods(
 
 @kernel
 def _add_parts(
-    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, reliability: Floats, tails: Floats, sums: Floats
+    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, work: RayWork, reliability: Floats,
+    tails: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Add to sums (2, 2) the responsibilities of narrow and wide candidates, and their squared residuals in units of s_i².
 
     Poses (n, n_rays or 1, 3) are those of the laser. Merged candidates and outliers count nothing.
     """
-    size = max_cells_met(table.reach, table.cell)
-    at = np.empty((size, 2), dtype=np.int64)
-    ends, unseen = np.empty(size), np.empty(size)
-    r, w, s = np.empty(2 * size), np.empty(2 * size), np.empty(2 * size)
-    is_split = np.empty(size, dtype=np.bool_)
+    _, _, r, w, s, _ = work
+    is_split = np.empty(len(r) // 2, dtype=np.bool_)
     for p in range(len(poses)):
         for q in range(len(bearings)):
             z = ranges[p, q]
             if not (z > MIN_RANGE and z < table.reach):
                 continue
-            pose = poses[p, min(q, poses.shape[1] - 1)]
-            angle = pose[2] + bearings[q]
-            n, _ = stop_candidates(
-                pose[0], pose[1], math.cos(angle), math.sin(angle), table, at, ends, r, w, s, unseen
-            )
+            n, _ = candidates_of(p, q, poses, bearings, table, work)
             for i in range(n):
                 is_split[i] = w[i] >= MAX_MERGED
             _, n_parts = shape_mixture(r, w, s, n, table.reach, reliability, tails)
@@ -231,7 +219,7 @@ def fit_tails(set_aside: Sequence[SetAside], tables: Sequence[CellTable], reliab
     for _ in range(TAIL_STEPS):
         sums = np.zeros((2, 2))
         for (poses, ranges, bearings), table in zip(set_aside, tables, strict=True):
-            _add_parts(per_ray(poses), ranges, bearings, table, reliability, tails, sums)
+            _add_parts(per_ray(poses), ranges, bearings, table, new_work(table, 2), reliability, tails, sums)
         counts, squares = sums.T + 0.5 * KNOT_WEIGHT
         variances = squares / counts * counts.sum() / squares.sum()
         tails = np.array([counts[1] / counts.sum(), *np.sqrt(variances)])

@@ -20,9 +20,10 @@ from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
 from sensorgraph.models.cells.distribution import KNOTS, NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
 from sensorgraph.models.cells.drawing import draw_readings
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
+from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.key_frames import KeyFrames, laser_poses
 from sensorgraph.models.cells.learning import is_set_aside, n_folds_of
-from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, tabulate
+from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, new_work, tabulate
 from sensorgraph.models.cells.set_aside import learn_visibility, summarise_poses
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
@@ -165,8 +166,8 @@ class CellModel:
         out = np.empty((*supported.shape, ranges.shape[2]))
         longest = max(self.sensor.range_max - self.table.reach, self.table.cell)
         fill_log_likelihoods(
-            laser_poses(poses, self.mount), self.sensor.bearings[rays], self.table,
-            self.reliability[which_of("mode")], self.tails, (self.nothing, 1.0 / longest), np.ascontiguousarray(ranges),
+            per_ray(laser_poses(poses, self.mount)), self.sensor.bearings[rays], self.table,
+            new_work(self.table, 2), self.reliability[which_of("mode")], self.tails, (self.nothing, 1.0 / longest), np.ascontiguousarray(ranges),
             self.sensor.range_min, out, supported,
         )  # fmt: skip
         return out, supported

@@ -12,11 +12,11 @@ from planners.kernel import kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.cells.distribution import KNOT_WEIGHT, KNOTS, OUTLIER_DENSITY
 from sensorgraph.models.cells.evidence import MIN_RANGE
-from sensorgraph.models.cells.grid import max_cells_met, per_ray
+from sensorgraph.models.cells.grid import per_ray
 from sensorgraph.models.cells.learning import SetAside
-from sensorgraph.models.cells.ray_march import MAX_MERGED, CellTable, stop_candidates
+from sensorgraph.models.cells.ray_march import MAX_MERGED, CellTable, RayWork, candidates_of, new_work
 from sensorgraph.models.cells.settings import CELLS
-from sensorgraph.models.distribution import DENSITY_AT_0, TAIL
+from sensorgraph.models.distribution import DENSITY_AT_0, TAIL, density_at
 from sensorgraph.models.mixture import MEAN, MEDIAN, MODE, P_OFF
 from sensorgraph.types import Bools, Floats
 
@@ -30,14 +30,9 @@ N_INCIDENCES = 8
 
 @kernel
 def add_squares(
-    poses: Floats,
-    ranges: Floats,
-    bearings: Floats,
-    table: CellTable,
-    weights: Floats,
-    squares: Floats,
-    tangents: Floats,
-) -> None:
+    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, work: RayWork, weights: Floats,
+    squares: Floats, tangents: Floats,
+) -> None:  # fmt: skip
     """Add the responsibilities of all candidates for the measured ranges, and their squared residuals [m²].
 
     With p(z) = outlier density + sum_i w_i N(z; r_i, s_i²), candidate i has the responsibility w_i N(z; r_i, s_i²) / p(z).
@@ -45,9 +40,7 @@ def add_squares(
     `tangents` collects the squared tangents of incidence. All three are (n_classes,). Poses (n, n_rays or 1, 3) are those
     of the laser.
     """
-    size = max_cells_met(table.reach, table.cell)
-    at = np.empty((size, 2), dtype=np.int64)
-    ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    _, _, r, w, sigma, _ = work
     n_classes = len(weights) - 1
     across = table.across * table.across
     for p in range(len(poses)):
@@ -55,16 +48,8 @@ def add_squares(
             z = ranges[p, q]
             if not (z > MIN_RANGE and z < table.reach):
                 continue
-            pose = poses[p, min(q, poses.shape[1] - 1)]
-            angle = pose[2] + bearings[q]
-            n, _ = stop_candidates(
-                pose[0], pose[1], math.cos(angle), math.sin(angle), table, at, ends, r, w, sigma, unseen
-            )
-            total = OUTLIER_DENSITY
-            for i in range(n):
-                e = (z - r[i]) / sigma[i]
-                if abs(e) < TAIL:
-                    total += w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigma[i]
+            n, _ = candidates_of(p, q, poses, bearings, table, work)
+            total = density_at(z, r, w, sigma, n) + OUTLIER_DENSITY
             for i in range(n):
                 e = (z - r[i]) / sigma[i]
                 if abs(e) < TAIL and w[i] >= MAX_MERGED:  # merged cells have a spread of their own
@@ -95,7 +80,7 @@ def fit_spread(set_aside: Sequence[SetAside], tables: Sequence[CellTable]) -> tu
         weights, squares, tangents = (np.zeros(N_INCIDENCES + 1) for _ in range(3))
         for (poses, ranges, bearings), table in zip(set_aside, tables, strict=True):
             now = table._replace(sigma=float(spread[0]), across=float(spread[1]), rough=float(spread[2]))
-            add_squares(per_ray(poses), ranges, bearings, now, weights, squares, tangents)
+            add_squares(per_ray(poses), ranges, bearings, now, new_work(now), weights, squares, tangents)
         x = tangents / np.maximum(weights, 1e-9)
         y = (squares + prior * first**2) / (weights + prior)
         use = np.flatnonzero(weights[1:] > 0) + 1

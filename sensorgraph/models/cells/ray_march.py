@@ -22,6 +22,7 @@ from sensorgraph.models.cells.grid import (
     CellIndices,
     RowGrid,
     max_cells_met,
+    per_ray,
     sector_of,
     traverse,
 )
@@ -67,6 +68,28 @@ class CellTable(NamedTuple):
     """[m] Standard deviation of a range in a cell without a line."""
     is_seen: Codes
     """(n + 1,) 1 where a training ray crossed the cell, else 0."""
+
+
+class RayWork(NamedTuple):
+    """Memory of the march for one ray: cells that it crosses, and candidates at which it may stop, sorted by range."""
+
+    at: CellIndices
+    """(n_max, 2) indices of the crossed cells in the window."""
+    ends: Floats
+    """(n_max,) [m] distance at which the ray leaves each."""
+    r: Floats
+    """(n_max,) [m] range of a candidate; `w`: its probability, `sigma`: its standard deviation [m]."""
+    w: Floats
+    sigma: Floats
+    unseen: Floats
+    """(n_max,) [m] length of the ray up to there in cells that no training ray crossed."""
+
+
+def new_work(table: CellTable, room: int = 1) -> RayWork:
+    """Return memory for one ray, with `room` times as many candidates as cells."""
+    n = max_cells_met(table.reach, table.cell)
+    r, w, sigma = (np.empty(room * n) for _ in range(3))
+    return RayWork(np.empty((n, 2), dtype=np.int64), np.empty(n), r, w, sigma, np.empty(n))
 
 
 def tabulate(
@@ -160,22 +183,15 @@ def insert_merged(
 
 @outer_kernel
 def stop_candidates(
-    x: float, y: float, c: float, s: float, table: CellTable, at: CellIndices, ends: Floats,
-    r: Floats, w: Floats, sigma: Floats, unseen: Floats,
-) -> tuple[int, float]:  # fmt: skip
-    """List the candidates at which one ray may stop.
-
-    Parameters
-    ----------
-    x, y, c, s : Start [m] in map and direction of the ray.
-    at, ends : (n_max, 2) and (n_max,) Work arrays of the traversal.
-    r, w, sigma, unseen : (n_max,) Filled, sorted by r: range [m], probability, standard deviation [m], and the length
-        [m] of the ray up to there in cells that no training ray crossed.
+    x: float, y: float, c: float, s: float, table: CellTable, work: RayWork
+) -> tuple[int, float]:
+    """List the candidates in `work` at which a ray from (x, y) [m] in map in the direction (c, s) may stop.
 
     Returns
     -------
     number of candidates, probability that none stops the ray
     """
+    at, ends, r, w, sigma, unseen = work
     x0, y0 = x - table.low[0], y - table.low[1]
     b = sector_of(c, s)
     n_steps = traverse(x0, y0, c, s, table.reach, table.cell, at, ends)
@@ -219,31 +235,31 @@ def stop_candidates(
     return n, survival
 
 
+@inner_kernel
+def candidates_of(
+    p: int, q: int, poses: Floats, bearings: Floats, table: CellTable, work: RayWork
+) -> tuple[int, float]:
+    """Compute `stop_candidates` of ray q from pose p; poses (n_poses, n_rays or 1, 3) are those of the laser."""
+    pose = poses[p, min(q, poses.shape[1] - 1)]
+    angle = pose[2] + bearings[q]
+    return stop_candidates(pose[0], pose[1], math.cos(angle), math.sin(angle), table, work)
+
+
 @kernel
 def summarise_rays(
-    poses: Floats,
-    bearings: Floats,
-    table: CellTable,
-    which: int,
-    out: Floats,
-    near: Floats,
+    poses: Floats, bearings: Floats, table: CellTable, which: int, work: RayWork, out: Floats, near: Floats,
     unobserved: Floats,
-) -> None:
+) -> None:  # fmt: skip
     """Summarise every ray; poses (n_poses, n_rays or 1, 3) are those of the laser.
 
     Fills out (n_poses, n_rays, 6) as `mixture.summarise`. Fills `near` (n_poses, n_rays) with the probability that a
     return is within 2 `OFF_DISTANCE` of the median, and `unobserved` (n_poses, n_rays) with the length [m] in
     unobserved cells before the mode.
     """
-    size = max_cells_met(table.reach, table.cell)
-    at = np.empty((size, 2), dtype=np.int64)
-    ends, r, w, sigma, unseen = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    _, _, r, w, sigma, unseen = work
     for p in range(len(poses)):
         for q in range(len(bearings)):
-            pose = poses[p, min(q, poses.shape[1] - 1)]
-            angle = pose[2] + bearings[q]
-            c, s = math.cos(angle), math.sin(angle)
-            n, survival = stop_candidates(pose[0], pose[1], c, s, table, at, ends, r, w, sigma, unseen)
+            n, survival = candidates_of(p, q, poses, bearings, table, work)
             summary = summarise(r, w, sigma, n, survival, table.reach, which)
             for k in range(6):
                 out[p, q, k] = summary[k]
@@ -260,20 +276,15 @@ def summarise_rays(
 
 @kernel
 def fill_candidates(
-    poses: Floats, bearings: Floats, table: CellTable, r: Floats, w: Floats, sigma: Floats, survival: Floats
-) -> int:
+    poses: Floats, bearings: Floats, table: CellTable, work: RayWork, r: Floats, w: Floats, sigma: Floats,
+    survival: Floats,
+) -> int:  # fmt: skip
     """Fill r, w, sigma (n_poses, n_rays, n_max) and survival (n_poses, n_rays); return the largest number of candidates."""
-    size = max_cells_met(table.reach, table.cell)
-    at = np.empty((size, 2), dtype=np.int64)
-    ends, unseen = np.empty(size), np.empty(size)
     most = 0
     for p in range(len(poses)):
         for q in range(len(bearings)):
-            angle = poses[p, 2] + bearings[q]
-            n, survival[p, q] = stop_candidates(
-                poses[p, 0], poses[p, 1], math.cos(angle), math.sin(angle), table, at, ends,
-                r[p, q], w[p, q], sigma[p, q], unseen,
-            )  # fmt: skip
+            own = RayWork(work.at, work.ends, r[p, q], w[p, q], sigma[p, q], work.unseen)
+            n, survival[p, q] = candidates_of(p, q, poses, bearings, table, own)
             r[p, q, n:], w[p, q, n:], sigma[p, q, n:] = math.inf, 0.0, table.rough
             most = max(most, n)
     return most
@@ -291,5 +302,5 @@ def list_candidates(
     size = room * max_cells_met(table.reach, table.cell)
     r, w, sigma = (np.empty((*shape, size)) for _ in range(3))
     survival = np.empty(shape)
-    n = room * fill_candidates(poses, bearings, table, r, w, sigma, survival)
+    n = room * fill_candidates(per_ray(poses), bearings, table, new_work(table), r, w, sigma, survival)
     return r[..., :n].copy(), w[..., :n].copy(), sigma[..., :n].copy(), survival

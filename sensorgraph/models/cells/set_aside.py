@@ -22,7 +22,7 @@ from sensorgraph.models.cells.learning import (
     training_samples,
 )
 from sensorgraph.models.cells.probability_calibration import calibrate_p_off, fit_spread
-from sensorgraph.models.cells.ray_march import CellTable, summarise_rays, tabulate
+from sensorgraph.models.cells.ray_march import CellTable, new_work, summarise_rays, tabulate
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import TERMS
 from sensorgraph.models.mixture import which_of
@@ -95,5 +95,5 @@ def summarise_poses(
     """
     shape = (len(poses), len(bearings))
     out, near, unobserved = np.empty((*shape, 6)), np.empty(shape), np.empty(shape)
-    summarise_rays(per_ray(poses), bearings, table, which_of(point), out, near, unobserved)
+    summarise_rays(per_ray(poses), bearings, table, which_of(point), new_work(table), out, near, unobserved)
     return out, near, unobserved

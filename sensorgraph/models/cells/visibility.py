@@ -8,6 +8,7 @@ Terms phi: 1, the `FEATURES` of (cell, sector), all squares and products of `SEL
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,22 +245,27 @@ def fill_all_features(
         fill_features(places[k, 0], places[k, 1], index, raw, logs, around, out[k])
 
 
+def sector_maps(evidence: CellEvidence, places: CellIndices) -> Iterator[tuple[int, Floats32, Floats32]]:
+    """Yield each sector with its maps, raw and logs (n_rows + 1, 14), which the next one overwrites."""
+    counts, index = (evidence.hits, evidence.interpolated, evidence.passes), evidence.window.index
+    raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
+    add_surroundings(places, index, *counts, logs)
+    for b in range(N_SECTORS):
+        fill_sector_maps(b, evidence.n_rows, *counts, raw, logs)
+        add_box_sums(places, index, raw, logs)
+        yield b, raw, logs
+
+
 def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
     """Return the logits (n_rows + 1, 16) of all cells and sectors; the last row is an unobserved cell."""
     places = evidence.window.places()
-    raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
-    add_surroundings(
-        places, evidence.window.index, evidence.hits, evidence.interpolated, evidence.passes, logs
-    )
     out = np.empty((evidence.n_rows + 1, N_SECTORS), dtype=np.float32)
     unseen = np.zeros(N_FEATURES, dtype=np.float32)
     unseen[[27, 28, 39]] = 1.0
     unseen[[29, 30]] = math.log(PRIOR_HITS / PRIOR_PASSES)
     out[-1] = evaluate_logit(unseen, beta, PAIRS)
     column = np.empty(evidence.n_rows, dtype=np.float32)
-    for b in range(N_SECTORS):
-        fill_sector_maps(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
-        add_box_sums(places, evidence.window.index, raw, logs)
+    for b, raw, logs in sector_maps(evidence, places):
         fill_logits(places, evidence.window.index, raw, logs, neighbour_offsets(b), beta, PAIRS, column)
         out[:-1, b] = column
     return out
@@ -268,17 +274,9 @@ def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
 def features(evidence: CellEvidence, rows: CellIndices, sectors: CellIndices) -> Floats32:
     """Return the features (n, 40) of cells in rows (n,) for sectors (n,)."""
     places = evidence.window.places()
-    raw, logs = (np.zeros((evidence.n_rows + 1, 14), dtype=np.float32) for _ in range(2))
-    add_surroundings(
-        places, evidence.window.index, evidence.hits, evidence.interpolated, evidence.passes, logs
-    )
     out = np.empty((len(rows), N_FEATURES), dtype=np.float32)
-    for b in range(N_SECTORS):
+    for b, raw, logs in sector_maps(evidence, places):
         here = np.flatnonzero(sectors == b)
-        if len(here) == 0:
-            continue
-        fill_sector_maps(b, evidence.n_rows, evidence.hits, evidence.interpolated, evidence.passes, raw, logs)
-        add_box_sums(places, evidence.window.index, raw, logs)
         part = np.empty((len(here), N_FEATURES), dtype=np.float32)
         fill_all_features(places[rows[here]], evidence.window.index, raw, logs, neighbour_offsets(b), part)
         out[here] = part

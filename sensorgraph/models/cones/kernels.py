@@ -48,6 +48,23 @@ def cone_edge(cosine: float, sine: float, cos: float, sin: float) -> float:
     return -s / c
 
 
+@inner_kernel
+def cone_on_line(
+    nx: float, ny: float, ux: float, uy: float, h: float, cos: float, sin: float
+) -> tuple[float, float]:
+    """Return the first and the last offset s [m] that a cone covers on a line; the first is larger if it points past it.
+
+    Parameters
+    ----------
+    ux, uy : Direction of the axis.
+    h : [m] Distance of the sensor from the line n·p = d.
+    cos, sin : Of the half opening angle.
+    """
+    c, s = -(nx * ux + ny * uy), ny * ux - nx * uy
+    a, b = cone_edge(c, s, cos, sin) * h, cone_edge(c, s, cos, -sin) * h
+    return (np.inf, -np.inf) if a >= b and abs(a) >= GRAZING * h else (a, b)
+
+
 @kernel
 def ranges_to_stretch(
     origins: Any, directions: Any, halves: Any, nx: Any, ny: Any, d: Any, low: Any, high: Any, r: Any, t: Any
@@ -63,10 +80,7 @@ def ranges_to_stretch(
         if halves[i] != half:
             half, cos, sin = halves[i], math.cos(halves[i]), math.sin(halves[i])
         tq = nx * qy - ny * qx
-        c, s = -(nx * ux + ny * uy), ny * ux - nx * uy
-        a, b = cone_edge(c, s, cos, sin) * h, cone_edge(c, s, cos, -sin) * h
-        if a >= b and abs(a) >= GRAZING * h:  # the whole cone points past the line
-            continue
+        a, b = cone_on_line(nx, ny, ux, uy, h, cos, sin)
         a, b = max(a, low - tq), min(b, high - tq)
         if a <= b:
             s = min(max(0.0, a), b)
@@ -109,9 +123,8 @@ def count_along_line(
         if halves[i] != half:
             half, cos, sin = halves[i], math.cos(halves[i]), math.sin(halves[i])
         tq = nx * qy - ny * qx
-        c, s = -(nx * ux + ny * uy), ny * ux - nx * uy
-        a, b = cone_edge(c, s, cos, sin) * h, cone_edge(c, s, cos, -sin) * h
-        if a >= b and abs(a) >= GRAZING * h:
+        a, b = cone_on_line(nx, ny, ux, uy, h, cos, sin)
+        if a > b:
             continue
         s = min(max(0.0, a), b)
         if abs(ranges[i] - math.sqrt(h * h + s * s)) < tolerance:
@@ -153,9 +166,8 @@ def stretches_in_cone(
             if stretches[k, 3] < side < stretches[k, 4]:
                 r[BACK_SLOT] = min(r[BACK_SLOT], -h / ahead)
             continue
-        c, s = -(nx * ux + ny * uy), ny * ux - nx * uy
-        right, left = cone_edge(c, s, cos, sin) * h, cone_edge(c, s, cos, -sin) * h
-        if right >= left and abs(right) >= GRAZING * h:
+        right, left = cone_on_line(nx, ny, ux, uy, h, cos, sin)
+        if right > left:
             continue
         low, high = max(right, stretches[k, 3] - tq), min(left, stretches[k, 4] - tq)
         at = min(max(0.0, low), high) if low <= high else 0.5 * (low + high)

@@ -227,7 +227,14 @@ def _information(t: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, a
 
 @kernel
 def _fit_levels(t: Any, stop: Any, weight: Any, error: Any, e: Any, level: Any, n: Any) -> Any:
-    """Set the visibility of n - 1 stretches by EM; a crossing near an edge may belong to the adjacent stretch."""
+    """Set the visibility alpha_k of n - 1 stretches by EM; a crossing near an edge may belong to the adjacent stretch.
+
+    A crossing at t with standard error tau lies in its stretch j with the probability q_j = 1 - q_(j-1) - q_(j+1), where
+    q_(j-1) = Φ((e_j - t) / tau) and q_(j+1) = Φ((t - e_(j+1)) / tau). With its outcome y, its weight w and p = sum_k q_k alpha_k:
+
+        E step: hit_k = q_k alpha_k / p, miss_k = q_k (1 - alpha_k) / (1 - p).
+        M step: alpha_k = (sum w y hit_k + PRIOR_STOPS) / (sum w (y hit_k + (1 - y) miss_k) + PRIOR_CROSSINGS).
+    """
     stopped, crossed = np.zeros(n), np.zeros(n)
     near, shares, count = np.empty(len(t), np.int64), np.empty((len(t), 2)), 0
     j = 0

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from sensorgraph.models.faces.blurred_edges import MIN_CHANCE, MIN_ERROR, WINDOW
-from sensorgraph.models.faces.change_points import Crossings
+from sensorgraph.models.faces.change_points import Crossings, is_visible, take_faces
 from sensorgraph.models.faces.ray_march import MIN_LENGTH, MIN_VISIBILITY, FaceSet
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import FAINT, MIN_COSINE
@@ -40,6 +40,15 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
             edges[e], neighbour[e], blur[e] = best[2], best[1], 0.0
     out = faces._replace(edges=edges, neighbour=neighbour, blur=blur)
     return _without_empty_stretches(_with_sorted_edges(out))
+
+
+def joined_visible(faces: FaceSet, crossings: Crossings) -> tuple[FaceSet, Crossings, Ints]:
+    """Join the visible faces in corners; return those that keep some length, their crossings, and their old indices."""
+    seen = np.flatnonzero(is_visible(faces))
+    faces, crossings = take_faces(faces, seen), crossings.of_faces(seen)
+    faces = join_corners(faces, crossings)
+    kept = np.flatnonzero(has_length(faces))
+    return take_faces(faces, kept), crossings.of_faces(kept), seen[kept]
 
 
 def has_length(faces: FaceSet) -> Bools:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.models.faces.change_points import crossings_of, fit_stretches, is_visible, take_faces
-from sensorgraph.models.faces.corners import has_length, join_corners, with_edge_errors
+from sensorgraph.models.faces.corners import joined_visible, with_edge_errors
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.maximisation import m_step
@@ -93,13 +93,8 @@ def fit_faces(
     faces, noise, expectation = _em(final, faces, noise, passes=1)
     faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))
     crossings = crossings_of(final, faces, noise, pose_errors)
-    faces = fit_stretches(faces, crossings)
-    seen_faces = np.flatnonzero(is_visible(faces))
-    faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)
     work.add(3 * len(final))
-    faces = join_corners(faces, crossings)
-    seen_faces = np.flatnonzero(has_length(faces))
-    faces, crossings = take_faces(faces, seen_faces), crossings.of_faces(seen_faces)
+    faces, crossings, _ = joined_visible(fit_stretches(faces, crossings), crossings)
     expectation = e_step(final, faces, noise)
     counted = final if rays.weights is None else rays
     summed = expectation if counted is final else e_step(counted, faces, noise)

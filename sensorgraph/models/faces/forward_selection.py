@@ -186,6 +186,10 @@ def _select_lines(
 def _vote(
     votes: Any, i: Any, angle: Any, mean: Any, moments: Any, cos: Any, sin: Any, reach: Any, sign: Any
 ) -> Any:
+    """Add the hits of cell i to lines n·p = d near its normal, or remove them (`sign` -1).
+
+    The bin of the angle s bins away has the weight 1 - |s| / (VOTE_SPREAD + 1), divided linearly between two bins of d.
+    """
     if angle[i] < 0:
         return
     for s in range(-VOTE_SPREAD, VOTE_SPREAD + 1):
@@ -200,7 +204,11 @@ def _vote(
 
 @kernel
 def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
-    """Return the angle bin of each cell's normal, from the moments of surrounding cells; -1 if it is unclear."""
+    """Return the angle bin of each cell's normal, from the moments of surrounding cells; -1 if it is unclear.
+
+    With the covariance (xx, xy, yy) of the hits, their long axis has the angle ½ atan2(2 xy, xx - yy), and their variances
+    along and across it are ½ (xx + yy) ± sqrt(¼ (xx - yy)² + xy²). The normal faces the mean direction of the rays.
+    """
     n_cells = len(column)
     nx, ny = grid.shape
     angle = np.empty(n_cells)

@@ -135,19 +135,7 @@ class Faces(FacesData):
         ------
         SensorgraphError : No ray returned.
         """
-        with progress("reading scans", "scans") as tick:
-            reduced = reduce_blocks(
-                blocks,
-                mount=mount,
-                n_rays=n_scans * sensor.n_rays,
-                map_blocks=map_blocks,
-                tick=_block_ticks(tick, n_scans),
-            )
-        if reduced is None or reduced.n_returns == 0:
-            raise SensorgraphError(
-                "no ray of the log returned; check range_max and the no-return code of the log"
-            )
-        reduced = reduced.spread_evenly(sensor)
+        reduced = _reduced(blocks, sensor, mount, n_scans, map_blocks, progress)
         if measures_cones(sensor):
             return cls(**_fit_cones(reduced, sensor, mount, can_mount=can_mount, progress=progress))
         rays = reduced.sample.rays(sensor, mount)
@@ -191,19 +179,7 @@ class Faces(FacesData):
             is_of_cones = measures_cones(self.sensor)
             why = "is of cones, which cannot be updated" if is_of_cones else "lacks its rays' statistics"
             raise SensorgraphError(f"the graph {why}; build it again from all runs")
-        with progress("reading scans", "scans") as tick:
-            new = reduce_blocks(
-                blocks,
-                mount=self.mount,
-                n_rays=n_scans * self.sensor.n_rays,
-                map_blocks=map_blocks,
-                tick=_block_ticks(tick, n_scans),
-            )
-        if new is None or new.n_returns == 0:
-            raise SensorgraphError(
-                "no ray of the new log returned; check range_max and the no-return code of the log"
-            )
-        new = new.spread_evenly(self.sensor)
+        new = _reduced(blocks, self.sensor, self.mount, n_scans, map_blocks, progress)
         rays, pose_errors = rays_beside_faces(
             new.sample, self.sensor, self.mount, self.calibration, self.faces, self.noise
         )
@@ -304,6 +280,26 @@ class Faces(FacesData):
         ValueError : An array has a wrong shape or invalid indices, or a number is out of range.
         """
         return cls(**restored_fields(sensor, header, arrays))
+
+
+def _reduced(
+    blocks: Iterable[Block], sensor: RangeSensor, mount: Floats, n_scans: int, map_blocks: MapBlocks,
+    progress: ProgressBars,
+) -> Reduction:  # fmt: skip
+    """Return the reduction of blocks of about `n_scans` scans, with a sample that is spread evenly."""
+    with progress("reading scans", "scans") as tick:
+        found = reduce_blocks(
+            blocks,
+            mount=mount,
+            n_rays=n_scans * sensor.n_rays,
+            map_blocks=map_blocks,
+            tick=_block_ticks(tick, n_scans),
+        )
+    if found is None or found.n_returns == 0:
+        raise SensorgraphError(
+            "no ray of the log returned; check range_max and the no-return code of the log"
+        )
+    return found.spread_evenly(sensor)
 
 
 def _start_of(ray: int, sensor: RangeSensor, mount: Floats) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from planners.kernel import inner_kernel, kernel, outer_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Bools, Floats
 
@@ -44,7 +44,8 @@ class ObservedSpace:
         cell: float = FACES.observed_cell,
     ) -> ObservedSpace:
         """Count rays (n, 2), (n, 2) up to `reach` (n,) [m]; rays in the mask `returned` (n,), or all, mark free space."""
-        low, high = _extent(origins, directions, reach)
+        ends = origins + reach[:, None] * directions
+        low, high = np.minimum(origins, ends).min(axis=0), np.maximum(origins, ends).max(axis=0)
         while np.prod((high - low) / cell + 4) > MAX_CELLS:
             cell *= 2
         corner = np.floor(low / cell - 1) * cell
@@ -104,14 +105,6 @@ class ObservedSpace:
             free=free.reshape(fours).max(axis=(1, 3)),
         )
 
-    def supports(self, origins: Floats, directions: Floats, reach: Floats) -> Bools:
-        """Return whether rays (n, 2), (n, 2) crossed only observed cells up to `reach` (n,) [m]."""
-        out = np.zeros(len(origins), dtype=np.bool_)
-        _are_rays_observed(
-            origins, directions, reach, self.origin, self.cell, self.distance_to_unobserved, out
-        )
-        return out
-
 
 def missing_returns_are_free(ranges: Floats, range_max: float) -> bool:
     """Return whether all missing returns, the infinite `ranges` (n,) [m], may be rays through free space.
@@ -163,36 +156,6 @@ def is_ray_observed(
             i = min(max(far, i), i + jump - 1) if ux > 0 else max(min(far, i), i - jump + 1)
         if i < 0 or j < 0 or i >= nx or j >= ny:
             return False
-
-
-@outer_kernel
-def _are_rays_observed(
-    origins: Any, directions: Any, reach: Any, origin: Any, cell: Any, clearance: Any, out: Any
-) -> Any:
-    for k in range(len(out)):
-        out[k] = is_ray_observed(
-            origins[k, 0],
-            origins[k, 1],
-            directions[k, 0],
-            directions[k, 1],
-            reach[k],
-            origin,
-            cell,
-            clearance,
-        )
-
-
-@kernel
-def _extent(origins: Any, directions: Any, reach: Any) -> Any:
-    """Return the corners of the bounding box of all rays."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for k in range(len(reach)):
-        for axis in range(2):
-            a = origins[k, axis]
-            b = a + reach[k] * directions[k, axis]
-            low[axis] = min(low[axis], a, b)
-            high[axis] = max(high[axis], a, b)
-    return low, high
 
 
 @outer_kernel

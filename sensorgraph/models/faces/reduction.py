@@ -238,7 +238,7 @@ def _flatten(
     reach: Any,
     place: Any,
 ) -> Any:
-    """List valid rays that are not too close: their starts, directions and end points (nan without a return)."""
+    """List valid rays that are not too close: starts q, directions u and end points q + z u (nan without a return)."""
     n, n_returns = 0, 0
     for i in range(ranges.shape[0]):
         for b in range(ranges.shape[1]):

@@ -10,11 +10,10 @@ from sensorgraph.models.faces.change_points import (
     Crossings,
     crossings_of,
     fit_stretches,
-    is_visible,
     joined_faces,
     take_faces,
 )
-from sensorgraph.models.faces.corners import has_length, join_corners, with_edge_errors
+from sensorgraph.models.faces.corners import joined_visible, with_edge_errors
 from sensorgraph.models.faces.fit import PASSES
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
@@ -86,22 +85,10 @@ def update_faces(
     )
     faces, old = _take(faces, old, keep)
     refit = _refitted(faces, old, rays, noise, pose_errors, scale)
-    faces, crossings, stored_crossings, held_lines = (
-        refit.faces,
-        refit.crossings,
-        refit.stored,
-        refit.held_lines,
-    )
-    index = np.flatnonzero(is_visible(faces))
-    faces, held_lines = take_faces(faces, index), held_lines[index]
-    crossings, stored_crossings = crossings.of_faces(index), stored_crossings.of_faces(index)
-    faces = join_corners(faces, crossings)
-    index = np.flatnonzero(has_length(faces))
-    faces, held_lines = take_faces(faces, index), held_lines[index]
-    crossings, stored_crossings = crossings.of_faces(index), stored_crossings.of_faces(index)
+    faces, crossings, index = joined_visible(refit.faces, refit.crossings)
     expectation = e_step(rays, faces, noise)
-    new = SufficientStatistics.of(rays, faces, expectation, stored_crossings, n_rays=n_rays)
-    total = _merge_statistics(old, new, held_lines, faces, crossings)
+    new = SufficientStatistics.of(rays, faces, expectation, refit.stored.of_faces(index), n_rays=n_rays)
+    total = _merge_statistics(old, new, refit.held_lines[index], faces, crossings)
     stray = np.clip(total.stray[0] / max(total.stray[1], 1.0), *STRAY_RANGE)
     noise = estimate_noise(noise, total.noise_sums, float(stray))
     return with_edge_errors(faces, total.line_sums), noise, total

@@ -21,6 +21,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
 from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.likelihood import log_density
+from sensorgraph.models.mixture import gaussian_prediction
 from sensorgraph.models.narmax import recursion
 from sensorgraph.models.narmax.equations import equation_text, summary_of
 from sensorgraph.models.narmax.fit import TrainingRows, fit_dropouts, fit_rays, ray_spacing, sequence_of
@@ -29,12 +30,12 @@ from sensorgraph.models.narmax.sequences import ScanSequence
 from sensorgraph.models.narmax.stored_form import ARRAYS, OPTIONS, form_of, restored
 from sensorgraph.models.polynomial.support import (
     MAX_LEVERAGE,
-    MIN_SIGMA,
     POSES_PER_BLOCK,
     QUANTILES,
     Support,
     leverage_limit,
     leverage_root,
+    residual_spread,
     scale_of,
     sees_around,
 )
@@ -95,18 +96,15 @@ class RayNarmax(NarmaxParameters):
         after = motion.position >= self.form.lags
         predicted = [equations.start, recursion.run(equations, scored.ranges), recursion.run(equations)]
         used = [(self.start_order >= 0).sum(axis=1), *2 * [(self.order >= 0).sum(axis=1)]]
-        sigma = np.full((3, self.n_rays), self.sensor.range_max - self.sensor.range_min)
-        spread = sigma[..., None] * QUANTILES
+        most = self.sensor.range_max - self.sensor.range_min
+        sigma, spread = np.empty((3, self.n_rays)), np.empty((3, self.n_rays, len(QUANTILES)))
         for kind in range(3):
             rows = slice(None) if kind == START else after
             size = np.abs(scored.ranges[rows] - predicted[kind][rows])
             for ray in range(self.n_rays):
                 own = size[np.isfinite(size[:, ray]), ray]
-                free = len(own) - used[kind][ray] * len(own) / max(self.rows[ray], len(own), 1)
-                if free >= 1:
-                    grow = np.sqrt(len(own) / free)
-                    sigma[kind, ray] = max(grow * np.sqrt(np.mean(own**2)), MIN_SIGMA)
-                    spread[kind, ray] = grow * np.quantile(own, QUANTILES)
+                share = len(own) / max(self.rows[ray], len(own), 1)
+                sigma[kind, ray], spread[kind, ray] = residual_spread(own, share * used[kind][ray], most)
         return replace(self, sigma=sigma, spread=spread)
 
     def equations(self, motion: ScanSequence) -> recursion.Equations:
@@ -211,16 +209,8 @@ class RayNarmax(NarmaxParameters):
             axis=1,
         )
         value, none = value[:, rays], none[:, rays]
-        return Prediction(
-            ranges=np.where(none > 0.5, np.inf, value),
-            median=value,
-            mode=value,
-            mean=value,
-            sigma=self.sigma[kind, rays] * widen[:, None],
-            p_no_return=none,
-            p_off=off,
-            answered=trusted[:, None] & (self.rows[rays] > 0),
-        )
+        sigma, answered = self.sigma[kind, rays] * widen[:, None], trusted[:, None] & (self.rows[rays] > 0)
+        return gaussian_prediction(value, sigma, none, off, answered)
 
     def mixture(self, poses: Floats, rays: Ints) -> Mixture:
         """Return the mixtures of rays (n_rays,) at poses (n_poses, 3): one Gaussian each."""

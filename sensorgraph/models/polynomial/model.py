@@ -22,17 +22,18 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
 from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.likelihood import log_density
+from sensorgraph.models.mixture import gaussian_prediction
 from sensorgraph.models.polynomial.complexity import Auto, PolynomialForm, n_candidates, select_form
 from sensorgraph.models.polynomial.stored_form import check_order, check_scale
 from sensorgraph.models.polynomial.support import (
     MAX_LEVERAGE,
-    MIN_SIGMA,
     POSES_PER_BLOCK,
     QUANTILES,
     ROWS_PER_TERM,
     Support,
     leverage_limit,
     leverage_root,
+    residual_spread,
     scale_of,
     sees_around,
 )
@@ -144,13 +145,7 @@ class Polynomial:
         span = self.sensor.range_max - self.sensor.range_min
         for i in range(self.n_rays):
             size = residual[np.isfinite(residual[:, i]), i]
-            free = len(size) - used[i]
-            if free < 1:
-                sigma[i], spread[i] = span, np.linspace(0, span, len(QUANTILES))
-                continue
-            grow = np.sqrt(len(size) / free)
-            sigma[i] = max(grow * np.sqrt(np.mean(size**2)), MIN_SIGMA)
-            spread[i] = grow * np.quantile(size, QUANTILES)
+            sigma[i], spread[i] = residual_spread(size, used[i], span)
         return type(self)(**{**self.__dict__, "sigma": sigma, "spread": spread})
 
     def _clip(self, ranges: Floats) -> Floats:
@@ -175,16 +170,7 @@ class Polynomial:
                 off[rows, j] = 1.0 - np.interp(OFF_DISTANCE / widen, self.spread[ray], QUANTILES)
             trusted[rows] = (leverage <= self.leverage_limit) & self.support.covers(poses[rows])
         known = self.returns[rays] + self.nothing[rays] > 0
-        return Prediction(
-            ranges=np.where(none > 0.5, np.inf, value),
-            median=value,
-            mode=value,
-            mean=value,
-            sigma=sigma,
-            p_no_return=none,
-            p_off=off,
-            answered=trusted[:, None] & known,
-        )
+        return gaussian_prediction(value, sigma, none, off, trusted[:, None] & known)
 
     def ray_terms(self, ray: int) -> Ints:
         """Return the indices of a ray's terms in order of selection."""

@@ -114,6 +114,23 @@ class Support:
         )
 
 
+def residual_spread(size: Floats, n_terms: float, most: float) -> tuple[float, Floats]:
+    """Return the standard deviation [m] of a ray and the `QUANTILES` [m] of its absolute residual, from n returns.
+
+    Both are corrected for k = `n_terms` coefficients: sigma² = sum size² / (n - k), and quantiles times sqrt(n / (n - k)).
+    Without a degree of freedom the residual is taken as uniform up to `most` [m].
+
+    Parameters
+    ----------
+    size : (n,) [m] Absolute residuals of the training returns.
+    """
+    free = len(size) - n_terms
+    if free < 1:
+        return most, most * QUANTILES
+    grow = np.sqrt(len(size) / free)
+    return max(float(grow * np.sqrt(np.mean(size**2))), MIN_SIGMA), grow * np.quantile(size, QUANTILES)
+
+
 def leverage_root(gram: Floats) -> Floats:
     """Return W (m, m) with W W' = (Φ'Φ)⁻¹ from the Gram matrix Φ'Φ (m, m): the leverage of a pose is |φ W|².
 
