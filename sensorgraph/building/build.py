@@ -33,19 +33,11 @@ MIN_SCANS = 10
 
 
 def build(
-    runs: Sequence[Run | LogStream],
-    *,
-    arena: Arena | None = None,
-    model: str = "faces",
-    split: str | None = None,
-    names: Sequence[str] | None = None,
-    map_blocks: MapBlocks = map,
-    update: Sensorgraph | None = None,
-    force: bool = True,
-    memory: bool = False,
-    progress: ProgressBars = no_progress,
-    **options: Any,
-) -> Sensorgraph:
+    runs: Sequence[Run | LogStream], *, arena: Arena | None = None, model: str = "faces",
+    split: str | None = None, names: Sequence[str] | None = None, map_blocks: MapBlocks = map,
+    update: Sensorgraph | None = None, force: bool = True, memory: bool = False,
+    progress: ProgressBars = no_progress, **options: Any,
+) -> Sensorgraph:  # fmt: skip
     """Fit a model to every scan that has a pose and is not held out.
 
     Parameters
@@ -130,15 +122,9 @@ def _fit(
         wanted = own.pop("cells", None)
         try:
             fitted = model.fit_blocks(
-                feed,
-                feed.sensor,
-                mount,
-                n_scans=feed.n_scans,
-                map_blocks=map_blocks,
-                can_mount=feed.pose_frame != "laser",
-                progress=progress,
-                **own,
-            )
+                feed, feed.sensor, mount, n_scans=feed.n_scans, map_blocks=map_blocks,
+                can_mount=feed.pose_frame != "laser", progress=progress, **own,
+            )  # fmt: skip
         finally:
             _check_enough(feed)
         if not (fitted.is_cluttered if wanted is None else wanted):

@@ -36,14 +36,9 @@ class TrainingData:
     """The training scans of several logs as blocks; `entries` are complete after the last block."""
 
     def __init__(
-        self,
-        logs: Sequence[LogStream],
-        names: Sequence[str],
-        *,
-        split: str | None,
-        bounds: tuple[float, float, float, float] | None,
-        force: bool = False,
-    ) -> None:
+        self, logs: Sequence[LogStream], names: Sequence[str], *, split: str | None,
+        bounds: tuple[float, float, float, float] | None, force: bool = False,
+    ) -> None:  # fmt: skip
         self.logs, self.names, self.split, self.bounds, self.force = logs, names, split, bounds, force
         self.entries: list[dict[str, Any]] = []
         self.sensor = logs[0].head.sensor
@@ -99,16 +94,10 @@ class TrainingData:
         self, first: int, i: int, poses: Floats, time: Floats, ranges: Floats, rays: Floats | None = None
     ) -> Block:
         scans = TrainingScans(
-            sensor=self.sensor,
-            poses=poses,
-            ranges=ranges,
-            run=np.full(len(poses), i, dtype=np.intp),
-            bounds=self.bounds,
-            pose_frame=self.pose_frame,
-            ray_poses=rays,
-            stamps=time[:, 0],
+            sensor=self.sensor, poses=poses, ranges=ranges, run=np.full(len(poses), i, dtype=np.intp),
+            bounds=self.bounds, pose_frame=self.pose_frame, ray_poses=rays, stamps=time[:, 0],
             sequence=time[:, 1].astype(np.intp),
-        )
+        )  # fmt: skip
         return Block(first=first, scans=scans)
 
 
@@ -249,16 +238,13 @@ def all_scans(feed: TrainingData) -> TrainingScans | None:
     if not parts:
         return None
     return TrainingScans(
-        sensor=feed.sensor,
-        poses=np.concatenate([part.poses for part in parts]),
+        sensor=feed.sensor, poses=np.concatenate([part.poses for part in parts]),
         ranges=np.concatenate([part.ranges for part in parts]) if len(parts) > 1 else parts[0].ranges,
-        run=np.concatenate([part.run for part in parts]),
-        bounds=feed.bounds,
-        pose_frame=feed.pose_frame,
+        run=np.concatenate([part.run for part in parts]), bounds=feed.bounds, pose_frame=feed.pose_frame,
         ray_poses=_all_ray_poses(parts),
         stamps=np.concatenate([part.stamps for part in parts if part.stamps is not None]),
         sequence=np.concatenate([part.sequence for part in parts if part.sequence is not None]),
-    )
+    )  # fmt: skip
 
 
 def _all_ray_poses(parts: Sequence[TrainingScans]) -> Floats | None:

@@ -112,15 +112,9 @@ class Evaluation:
 
 
 def evaluate(
-    graph: Sensorgraph,
-    run: Run,
-    *,
-    split: str | None = None,
-    point: Point | None = None,
-    cap: float | None = None,
-    force: bool = True,
-    progress: Progress | None = None,
-) -> Evaluation:
+    graph: Sensorgraph, run: Run, *, split: str | None = None, point: Point | None = None,
+    cap: float | None = None, force: bool = True, progress: Progress | None = None,
+) -> Evaluation:  # fmt: skip
     """Predict the scans of a run that have a pose, and score the predictions.
 
     A ray is scored if its measured return lies between 0.1 m and `cap` (default: 10 m, or range_max if that is

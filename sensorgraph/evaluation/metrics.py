@@ -99,14 +99,9 @@ class MetricSums:
         order = np.argsort(self.bearings % (2 * np.pi))
         chamfer, f_score = np.empty(len(measured)), np.empty(len(measured))
         _compare_end_points(
-            measured[:, order],
-            value[:, order],
-            scored[:, order],
-            self.bearings[order],
-            MATCH_DISTANCE,
-            chamfer,
-            f_score,
-        )
+            measured[:, order], value[:, order], scored[:, order], self.bearings[order], MATCH_DISTANCE,
+            chamfer, f_score,
+        )  # fmt: skip
         counted = scored.any(axis=1)
         self.chamfer += chamfer[counted].tolist()
         self.f_score += f_score[counted].tolist()

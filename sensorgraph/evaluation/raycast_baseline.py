@@ -25,15 +25,9 @@ from sensorgraph.world.simulate import SCANS_PER_STEP
 
 
 def compare(
-    result: Evaluation,
-    run: Run,
-    arena: Arena,
-    sensor: RangeSensor,
-    effects: Sequence[Amendment],
-    *,
-    point: Point | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Metrics]:
+    result: Evaluation, run: Run, arena: Arena, sensor: RangeSensor, effects: Sequence[Amendment], *,
+    point: Point | None = None, progress: Progress | None = None,
+) -> dict[str, Metrics]:  # fmt: skip
     """Score the ray caster on the rays that a graph was scored on: `nominal` as mapped, and `amended` by effects.
 
     Parameters
@@ -61,14 +55,9 @@ def compare(
 
 
 def predict(
-    run: Run,
-    arena: Arena,
-    sensor: RangeSensor,
-    scans: Ints,
-    effects: Sequence[Transform],
-    *,
+    run: Run, arena: Arena, sensor: RangeSensor, scans: Ints, effects: Sequence[Transform], *,
     progress: Progress | None = None,
-) -> Prediction:
+) -> Prediction:  # fmt: skip
     """Predict some scans (n,) of a run from its reference poses; people are modelled as a probability of short readings."""
     motion = motion_of(run) if sensor.has_ray_delays else _motion_of_scans(run)
     if run.pose_frame == "laser":

@@ -93,19 +93,14 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
     covered = len(cells) * COVERAGE_CELL**2
     dimension, low, high = track_dimension(stamps, poses[:, :2])
     return Behaviour(
-        duration_s=duration,
-        path_m=path,
-        speed_m_s=path / max(duration, 1e-9),
+        duration_s=duration, path_m=path, speed_m_s=path / max(duration, 1e-9),
         turn_rate_rad_s=turned / max(duration, 1e-9),
         clearance_mean_m=float(nearest.mean()) if len(nearest) else np.inf,
-        clearance_min_m=float(nearest.min()) if len(nearest) else np.inf,
-        covered_m2=covered,
+        clearance_min_m=float(nearest.min()) if len(nearest) else np.inf, covered_m2=covered,
         coverage=None if arena is None else covered / float(arena.free.area),
-        lyapunov_1_s=lyapunov(stamps, poses[:, :2]),
-        dimension=dimension,
-        dimension_low=low,
+        lyapunov_1_s=lyapunov(stamps, poses[:, :2]), dimension=dimension, dimension_low=low,
         dimension_high=high,
-    )
+    )  # fmt: skip
 
 
 def _means(stamps: Floats, poses: Floats) -> Floats:

@@ -118,16 +118,9 @@ class ControllerDesign:
 
 @as_sensorgraph_error
 def design(
-    graph: Sensorgraph,
-    task: DesignTask,
-    robot: Robot,
-    *,
-    inputs: Sequence[str] = DEFAULT_INPUTS,
-    degree: int = 2,
-    seed: int = 0,
-    settings: DesignSettings = DESIGN,
-    progress: Progress | None = None,
-) -> ControllerDesign:
+    graph: Sensorgraph, task: DesignTask, robot: Robot, *, inputs: Sequence[str] = DEFAULT_INPUTS,
+    degree: int = 2, seed: int = 0, settings: DesignSettings = DESIGN, progress: Progress | None = None,
+) -> ControllerDesign:  # fmt: skip
     """Find the polynomial of the inputs that keeps the wall distance, and predict its closed loop.
 
     Parameters
@@ -217,15 +210,9 @@ def start_poses(walls: WallDistance, arena: Arena, distance: float, n: int) -> F
 
 
 def _searched(
-    population: ClosedLoopPopulation,
-    terms: Terms,
-    centres: Floats,
-    starts: Floats,
-    task: DesignTask,
-    settings: DesignSettings,
-    seed: int,
-    progress: Progress | None,
-) -> Floats:
+    population: ClosedLoopPopulation, terms: Terms, centres: Floats, starts: Floats, task: DesignTask,
+    settings: DesignSettings, seed: int, progress: Progress | None,
+) -> Floats:  # fmt: skip
     """Return the coefficients (n_terms,) [rad/s] of lowest cost."""
     rng = np.random.default_rng([seed, 7])
     mean = np.zeros(len(terms))
@@ -265,16 +252,9 @@ def _controller(terms: Terms, theta: Floats, scale: Scale) -> Narmax:
 
 
 def _predicted_drives(
-    graph: Sensorgraph,
-    model: Narmax,
-    facts: dict[str, Any],
-    robot: Robot,
-    task: DesignTask,
-    start: Floats,
-    clearance: WallDistance,
-    seed: int,
-    settings: DesignSettings,
-) -> list[ExecutedDrive]:
+    graph: Sensorgraph, model: Narmax, facts: dict[str, Any], robot: Robot, task: DesignTask, start: Floats,
+    clearance: WallDistance, seed: int, settings: DesignSettings,
+) -> list[ExecutedDrive]:  # fmt: skip
     rng = np.random.default_rng([seed, 8])
     out = []
     for i in range(settings.n_predicted):

@@ -85,14 +85,11 @@ def quantities(drive: ExecutedDrive, clearance: Clearance, middle: Floats, perio
     change = np.diff(drive.commands[drive.cmd_stamps <= end][::every, 1]) / period
     low, high = np.quantile(distance, [0.05, 0.95])
     return DriveQuantities(
-        wall_distance_m=float(distance.mean()),
-        wall_distance_5_m=float(low),
-        wall_distance_95_m=float(high),
-        speed_m_s=float(moved / max(t[-1] - t[0], 1e-9)),
-        turn_change_rad_s2=float(np.sqrt(np.mean(change**2))),
-        contacts=float(drive.contacts),
+        wall_distance_m=float(distance.mean()), wall_distance_5_m=float(low),
+        wall_distance_95_m=float(high), speed_m_s=float(moved / max(t[-1] - t[0], 1e-9)),
+        turn_change_rad_s2=float(np.sqrt(np.mean(change**2))), contacts=float(drive.contacts),
         lap_s=float(2 * np.pi * (t[-1] - t[0]) / turned) if turned >= 2 * np.pi else float("nan"),
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -141,17 +141,10 @@ class Influence:
 
 
 def influence(
-    graph: Sensorgraph,
-    controller: PolynomialController,
-    robot: Robot,
-    start: Sequence[float],
-    *,
-    factors: Mapping[str, tuple[float, float]] | None = None,
-    rows: int = 64,
-    duration: float = 90.0,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> Influence:
+    graph: Sensorgraph, controller: PolynomialController, robot: Robot, start: Sequence[float], *,
+    factors: Mapping[str, tuple[float, float]] | None = None, rows: int = 64, duration: float = 90.0,
+    seed: int = 0, progress: Progress | None = None,
+) -> Influence:  # fmt: skip
     """Drive one controller `rows` * (factors + 2) times in an identified world, and estimate Sobol indices.
 
     Parameters

@@ -43,14 +43,9 @@ class ClosedLoopPopulation:
     """The world, the robot and the inputs that all controllers share."""
 
     def __init__(
-        self,
-        model: Faces,
-        robot: Robot,
-        walls: WallDistance,
-        inputs: dict[str, Ints],
-        seed: int,
+        self, model: Faces, robot: Robot, walls: WallDistance, inputs: dict[str, Ints], seed: int,
         mount: Floats,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Take inputs as variable -> rays of the graph; `mount` (3,) transforms poses of base_link to the graph's frame."""
         self.model, self.robot, self.inputs, self.seed, self.mount = model, robot, inputs, seed, mount
         self.rays = np.unique(np.concatenate(list(inputs.values())))

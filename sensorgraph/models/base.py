@@ -65,14 +65,11 @@ class TrainingScans:
     def part(self, index: slice) -> TrainingScans:
         """Return the scans of a slice."""
         return replace(
-            self,
-            poses=self.poses[index],
-            ranges=self.ranges[index],
-            run=self.run[index],
+            self, poses=self.poses[index], ranges=self.ranges[index], run=self.run[index],
             ray_poses=None if self.ray_poses is None else self.ray_poses[index],
             stamps=None if self.stamps is None else self.stamps[index],
             sequence=None if self.sequence is None else self.sequence[index],
-        )
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -60,15 +60,9 @@ def log_density_of(
 
 @kernel
 def _fill(
-    means: Floats,
-    weights: Floats,
-    widths: Floats,
-    none: Floats,
-    ranges: Floats,
-    range_min: float,
-    stray: float,
-    out: Floats,
-) -> None:
+    means: Floats, weights: Floats, widths: Floats, none: Floats, ranges: Floats, range_min: float,
+    stray: float, out: Floats,
+) -> None:  # fmt: skip
     """Fill out (n_poses, n_rays) with the log-likelihood of ranges (n_poses or 1, n_rays)."""
     for i in range(out.shape[0]):
         k = min(i, len(ranges) - 1)

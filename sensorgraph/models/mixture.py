@@ -144,15 +144,10 @@ def to_prediction(table: NDArray[np.float64], point: Point, answered: Bools) -> 
     values = {"median": table[..., MEDIAN], "mode": table[..., MODE], "mean": table[..., MEAN]}
     none = table[..., NO_RETURN]
     return Prediction(
-        ranges=np.where(none > 0.5, np.inf, values[point]),
-        sigma=table[..., SIGMA],
-        p_no_return=none,
-        p_off=table[..., P_OFF],
-        answered=answered,
-        median=values["median"],
-        mode=values["mode"],
+        ranges=np.where(none > 0.5, np.inf, values[point]), sigma=table[..., SIGMA], p_no_return=none,
+        p_off=table[..., P_OFF], answered=answered, median=values["median"], mode=values["mode"],
         mean=values["mean"],
-    )
+    )  # fmt: skip
 
 
 def gaussian_prediction(

@@ -116,15 +116,9 @@ def rays_beside_faces(
 
 
 def calibrate_faces(
-    sample: RaySample,
-    sensor: RangeSensor,
-    mount: Floats,
-    fitted: FittedFaces,
-    *,
-    can_mount: bool = True,
-    calibrate: bool | None = None,
-    progress: ProgressBars = no_progress,
-) -> CalibratedFaces:
+    sample: RaySample, sensor: RangeSensor, mount: Floats, fitted: FittedFaces, *, can_mount: bool = True,
+    calibrate: bool | None = None, progress: ProgressBars = no_progress,
+) -> CalibratedFaces:  # fmt: skip
     """Identify the laser of a sample and fit the faces again with it, if the evidence supports a calibration.
 
     Parameters
@@ -346,15 +340,11 @@ class _JointCalibration:
         # the mean error of the poses over all scans cannot be distinguished from a mount error
         limits = np.array([*2 * self.pose_noise[:1], self.pose_noise[1]]) / math.sqrt(self.n_scans)
         return Calibration(
-            terms=self.terms,
-            offset=self.mount - self.specified,
-            offset_se=np.hypot(self.offset_se, limits),
-            can_mount=self.can_mount,
-            n_own=int(self.has_own.any(axis=0).sum()),
-            gauge=self.gauge,
-            sigma_xy=self.pose_noise[0],
+            terms=self.terms, offset=self.mount - self.specified,
+            offset_se=np.hypot(self.offset_se, limits), can_mount=self.can_mount,
+            n_own=int(self.has_own.any(axis=0).sum()), gauge=self.gauge, sigma_xy=self.pose_noise[0],
             sigma_yaw=self.pose_noise[1],
-        )
+        )  # fmt: skip
 
     def _poses(self, matches: Matches) -> RefinedPoses:
         found = refine_poses(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)

@@ -40,15 +40,9 @@ class Calibration:
     def none(cls, n_rays: int, *, can_mount: bool = True) -> Self:
         """Return the calibration of a laser as specified."""
         return cls(
-            terms=RayTerms.none(n_rays),
-            offset=np.zeros(3),
-            offset_se=np.full(3, np.nan),
-            can_mount=can_mount,
-            n_own=0,
-            gauge=None,
-            sigma_xy=0.0,
-            sigma_yaw=0.0,
-        )
+            terms=RayTerms.none(n_rays), offset=np.zeros(3), offset_se=np.full(3, np.nan),
+            can_mount=can_mount, n_own=0, gauge=None, sigma_xy=0.0, sigma_yaw=0.0,
+        )  # fmt: skip
 
     @property
     def is_as_stated(self) -> bool:
@@ -140,11 +134,7 @@ class Calibration:
             gauge = Gauge(shift=float(shift), stderr=np.inf if width is None else float(width))
         return cls(
             terms=RayTerms(**{name: found[name] for name in ("constant", "slope", "incidence")}),
-            offset=found["offset"],
-            offset_se=found["offset_se"],
-            can_mount=bool(header["can_mount"]),
-            n_own=int(header["n_own"]),
-            gauge=gauge,
-            sigma_xy=float(header["sigma_xy"]),
+            offset=found["offset"], offset_se=found["offset_se"], can_mount=bool(header["can_mount"]),
+            n_own=int(header["n_own"]), gauge=gauge, sigma_xy=float(header["sigma_xy"]),
             sigma_yaw=float(header["sigma_yaw"]),
-        )
+        )  # fmt: skip

@@ -127,15 +127,9 @@ def match_readings(
     )  # fmt: skip
     columns = np.ascontiguousarray(values.T)
     return Matches(
-        ranges=columns[0],
-        face=face,
-        rho=columns[1],
-        den=columns[2],
-        along=columns[3],
-        at=columns[4],
-        probability=columns[5],
-        weight=columns[6],
-    )
+        ranges=columns[0], face=face, rho=columns[1], den=columns[2], along=columns[3], at=columns[4],
+        probability=columns[5], weight=columns[6],
+    )  # fmt: skip
 
 
 def mean_incidence(matches: Matches, terms: RayTerms) -> float:

@@ -109,15 +109,9 @@ def normal_equations(
         matrix += np.outer(constraint, constraint) / constraint_norm
         rhs += constraint * float((compliance * face_rhs).sum()) / constraint_norm
     return NormalEquations(
-        matrix=matrix,
-        rhs=rhs,
-        n_returns=float((weight > 0).sum()),
-        face_inverse=inverse,
-        face_rhs=face_rhs,
-        coupling=coupling,
-        centre=centre,
-        gauge_weights=gauge_weights,
-    )
+        matrix=matrix, rhs=rhs, n_returns=float((weight > 0).sum()), face_inverse=inverse,
+        face_rhs=face_rhs, coupling=coupling, centre=centre, gauge_weights=gauge_weights,
+    )  # fmt: skip
 
 
 def step_faces(faces: FaceSet, normal: NormalEquations, step: Floats) -> FaceSet:
@@ -220,24 +214,10 @@ def _forward(matrix: Any, rhs: Any, penalties: Any) -> Any:
 
 @kernel
 def _accumulate(
-    ray: Any,
-    cos: Any,
-    sin: Any,
-    face: Any,
-    rho: Any,
-    den: Any,
-    along: Any,
-    at: Any,
-    residual: Any,
-    weight: Any,
-    normals: Any,
-    centre: Any,
-    matrix: Any,
-    rhs: Any,
-    face_matrix: Any,
-    face_rhs: Any,
+    ray: Any, cos: Any, sin: Any, face: Any, rho: Any, den: Any, along: Any, at: Any, residual: Any,
+    weight: Any, normals: Any, centre: Any, matrix: Any, rhs: Any, face_matrix: Any, face_rhs: Any,
     coupling: Any,
-) -> Any:
+) -> Any:  # fmt: skip
     """Add the returns to the normal equations of the module: row (x, y0, y1) of a return, weight w and residual e.
 
     The upper half of `matrix` stays 0.

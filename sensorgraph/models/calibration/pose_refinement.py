@@ -146,19 +146,9 @@ def pose_slopes(normal: Any, cos: Any, sin: Any, rho: Any, den: Any, along: Any)
 
 @kernel
 def _pose_equations(
-    scan: Any,
-    cos: Any,
-    sin: Any,
-    face: Any,
-    rho: Any,
-    den: Any,
-    along: Any,
-    residual: Any,
-    weight: Any,
-    normals: Any,
-    information: Any,
-    rhs: Any,
-) -> Any:
+    scan: Any, cos: Any, sin: Any, face: Any, rho: Any, den: Any, along: Any, residual: Any, weight: Any,
+    normals: Any, information: Any, rhs: Any,
+) -> Any:  # fmt: skip
     """Add H_i = sum_j w_j a_j a_j' to `information` (n, 3, 3) and g_i = sum_j w_j e_j a_j to `rhs` (n, 3) of each scan."""
     x = np.empty(3)
     for i in range(len(scan)):

@@ -81,14 +81,9 @@ def draw_readings(
 
 
 def _mixture_of(
-    means: Floats,
-    weights: Floats,
-    widths: Floats,
-    survival: Floats,
-    table: CellTable,
-    reliability: Floats,
+    means: Floats, weights: Floats, widths: Floats, survival: Floats, table: CellTable, reliability: Floats,
     tails: Floats,
-) -> Mixture:
+) -> Mixture:  # fmt: skip
     """Return the mixtures (1, n_rays) of returns of candidates, shaped in place, as `CellModel.mixture` does."""
     shape_mixtures(means, weights, widths, table.reach, reliability, tails)
     return Mixture(

@@ -64,27 +64,17 @@ class CellEvidence:
         """Return evidence without scans."""
         window = GridWindow(cell=cell, low=(0, 0), index=np.full((1, 1), -1, dtype=np.int32))
         return cls(
-            window=window,
-            reach=reach,
-            n_rows=0,
-            hits=np.zeros((0, N_SECTORS), dtype=np.float32),
+            window=window, reach=reach, n_rows=0, hits=np.zeros((0, N_SECTORS), dtype=np.float32),
             interpolated=np.zeros((0, N_SECTORS), dtype=np.float32),
-            passes=np.zeros((0, N_SECTORS // 2), dtype=np.float32),
-            face=np.full(0, -1, dtype=np.int32),
-            n_faces=0,
-            moments=np.zeros((0, N_SECTORS, N_MOMENTS)),
-        )
+            passes=np.zeros((0, N_SECTORS // 2), dtype=np.float32), face=np.full(0, -1, dtype=np.int32),
+            n_faces=0, moments=np.zeros((0, N_SECTORS, N_MOMENTS)),
+        )  # fmt: skip
 
     @classmethod
     def of(
-        cls,
-        poses: Floats,
-        ranges: Floats,
-        bearings: Floats,
-        *,
-        cell: float = CELL_SIZE,
+        cls, poses: Floats, ranges: Floats, bearings: Floats, *, cell: float = CELL_SIZE,
         reach: float = MAX_REACH,
-    ) -> CellEvidence:
+    ) -> CellEvidence:  # fmt: skip
         """Return the evidence of scans with ranges (n, n_rays), with poses as in `add`."""
         evidence = cls.empty(cell, reach)
         evidence.add(poses, ranges, bearings)
@@ -171,16 +161,12 @@ class CellEvidence:
         index[near] = np.arange(n, dtype=np.int32)
         old, rows = self.window.index[seen], index[seen]
         return CellEvidence(
-            window=GridWindow(cell=self.window.cell, low=self.window.low, index=index),
-            reach=self.reach,
-            n_rows=n,
-            hits=_rearranged(self.hits[old], rows, n),
+            window=GridWindow(cell=self.window.cell, low=self.window.low, index=index), reach=self.reach,
+            n_rows=n, hits=_rearranged(self.hits[old], rows, n),
             interpolated=_rearranged(self.interpolated[old], rows, n),
-            passes=_rearranged(self.passes[old], rows, n),
-            face=_rearranged(self.face[old], rows, n, -1),
-            n_faces=self.n_faces,
-            moments=self.moments,
-        )
+            passes=_rearranged(self.passes[old], rows, n), face=_rearranged(self.face[old], rows, n, -1),
+            n_faces=self.n_faces, moments=self.moments,
+        )  # fmt: skip
 
 
 def _lengthened(array: NDArray[T], n: int, fill: int = 0) -> NDArray[T]:

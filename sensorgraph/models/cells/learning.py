@@ -62,15 +62,9 @@ def n_folds_of(n: int) -> int:
 
 @kernel
 def list_at_risk(
-    poses: Floats,
-    ranges: Floats,
-    bearings: Floats,
-    table: CellTable,
-    rows: CellIndices,
-    sectors: CellIndices,
-    label: Floats,
-    weight: Floats,
-) -> int:
+    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, rows: CellIndices,
+    sectors: CellIndices, label: Floats, weight: Floats,
+) -> int:  # fmt: skip
     """List every cell that a ray reached; poses (n, n_rays or 1, 3) of the laser.
 
     Fills row, sector, label and weight of up to len(rows) samples, and returns their number. The label is the
@@ -133,15 +127,9 @@ def list_at_risk(
 
 
 def fit_logistic(
-    phi: Floats32,
-    label: Floats,
-    weight: Floats,
-    start: Floats,
-    prior: Floats,
-    *,
-    steps: int,
+    phi: Floats32, label: Floats, weight: Floats, start: Floats, prior: Floats, *, steps: int,
     ridge: float = CELLS.ridge,
-) -> Floats:
+) -> Floats:  # fmt: skip
     """Fit a logistic regression by Newton's method with step halving.
 
     Maximise sum weight (label log p + (1 - label) log(1 - p)) - ½ sum penalty (beta - prior)², with

@@ -37,16 +37,9 @@ SIN = np.sin(np.arange(N_ANGLES) * np.pi / N_ANGLES)
 
 @inner_kernel
 def sum_neighbourhood(
-    i: int,
-    j: int,
-    radius: int,
-    cell: float,
-    index: RowGrid,
-    face: RowGrid,
-    moments: Floats,
-    b: int,
+    i: int, j: int, radius: int, cell: float, index: RowGrid, face: RowGrid, moments: Floats, b: int,
     out: Floats,
-) -> None:
+) -> None:  # fmt: skip
     """Sum the moments of sector b in the cells within radius, relative to the centre of cell (i, j).
 
     `moments` are sums over similar sectors already.
@@ -93,14 +86,9 @@ def fit_line(m: Floats, cell: float) -> tuple[bool, float, float, float]:
 
 @kernel
 def fill_local_lines(
-    places: CellIndices,
-    cell: float,
-    index: RowGrid,
-    face: RowGrid,
-    moments: Floats,
-    angle: Codes,
+    places: CellIndices, cell: float, index: RowGrid, face: RowGrid, moments: Floats, angle: Codes,
     offset: Offsets,
-) -> None:
+) -> None:  # fmt: skip
     """Fill angle and offset (n, 16) for every cell in places (n, 2); moments are sums over similar sectors."""
     m = np.empty(N_MOMENTS)
     for k in range(len(places)):
@@ -139,12 +127,7 @@ def local_lines(evidence: CellEvidence) -> tuple[Codes, Offsets]:
     own = evidence.moments[: evidence.n_faces]
     similar = np.sum([np.roll(own, d, axis=1) for d in range(-SIMILAR_SECTORS, SIMILAR_SECTORS + 1)], axis=0)
     fill_local_lines(
-        evidence.window.places(),
-        evidence.window.cell,
-        evidence.window.index,
-        evidence.face,
-        similar,
-        angle,
-        offset,
-    )
+        evidence.window.places(), evidence.window.cell, evidence.window.index, evidence.face, similar,
+        angle, offset,
+    )  # fmt: skip
     return angle, offset

@@ -114,18 +114,10 @@ def tabulate(
     for counts in (evidence.hits, evidence.interpolated, evidence.passes):
         seen[:-1] |= counts[:n].any(axis=1)
     return CellTable(
-        low=np.array(window.low) * window.cell,
-        cell=window.cell,
-        reach=evidence.reach,
-        rows=window.index,
+        low=np.array(window.low) * window.cell, cell=window.cell, reach=evidence.reach, rows=window.index,
         rate=np.searchsorted(np.sqrt(RATES[1:-1] * RATES[2:]), rate).astype(np.uint8) + np.uint8(1),
-        angle=angle,
-        offset=offset,
-        sigma=spread[0],
-        across=spread[1],
-        rough=spread[2],
-        is_seen=seen,
-    )
+        angle=angle, offset=offset, sigma=spread[0], across=spread[1], rough=spread[2], is_seen=seen,
+    )  # fmt: skip
 
 
 @inner_kernel

@@ -33,20 +33,8 @@ O: hits and interpolated hits from other directions. Suffix s: from similar dire
 The suffix + is farther from the sensor, - is nearer. Numbers 5, 11: within 5 x 5 and 11 x 11 cells.
 The value of "both sides" is the smaller one."""
 SELF_PRODUCTS = (
-    "Hs",
-    "Ho",
-    "Is",
-    "Io",
-    "Qs",
-    "Qo",
-    "S side 1",
-    "Qs side 1",
-    "L",
-    "L5",
-    "S5",
-    "seen 11",
-    "H11",
-)
+    "Hs", "Ho", "Is", "Io", "Qs", "Qo", "S side 1", "Qs side 1", "L", "L5", "S5", "seen 11", "H11",
+)  # fmt: skip
 NEIGHBOUR_PRODUCTS = (
     "S +1", "S +2", "S -1", "S -2", "Qs +1", "Qs +2", "Qs -1", "Qs -2", "S diagonal +", "S diagonal -", "O +1", "all unseen",
     "S5 +4", "S5 -4", "S5 side 4", "S5 both sides 4",
@@ -220,15 +208,9 @@ def evaluate_logit(f: Floats32, beta: Floats, pairs: CellIndices) -> float:
 
 @kernel
 def fill_logits(
-    places: CellIndices,
-    index: RowGrid,
-    raw: Floats32,
-    logs: Floats32,
-    around: CellIndices,
-    beta: Floats,
-    pairs: CellIndices,
-    out: Floats32,
-) -> None:
+    places: CellIndices, index: RowGrid, raw: Floats32, logs: Floats32, around: CellIndices, beta: Floats,
+    pairs: CellIndices, out: Floats32,
+) -> None:  # fmt: skip
     """Fill out (n,) with the logit in every cell of places (n, 2), from the maps of one sector."""
     f = np.zeros(N_FEATURES, dtype=np.float32)
     for k in range(len(places)):

@@ -108,14 +108,11 @@ def _to_faces(readings: ConeReadings, work: Refiner, sigma: float) -> tuple[Face
     lines = np.array(work.stretches, dtype=np.float64).reshape(n, 4)[order]
     edges = lines[:, 2:].ravel()
     faces = FaceSet(
-        normals=np.stack([np.cos(lines[:, 0]), np.sin(lines[:, 0])], axis=1),
-        offsets=lines[:, 1].copy(),
-        first=2 * np.arange(n + 1, dtype=np.intp),
-        edges=edges,
-        levels=np.stack([levels[order], np.zeros(n)], axis=1).ravel(),
-        blur=np.full(2 * n, END_BLUR),
+        normals=np.stack([np.cos(lines[:, 0]), np.sin(lines[:, 0])], axis=1), offsets=lines[:, 1].copy(),
+        first=2 * np.arange(n + 1, dtype=np.intp), edges=edges,
+        levels=np.stack([levels[order], np.zeros(n)], axis=1).ravel(), blur=np.full(2 * n, END_BLUR),
         neighbour=np.full(2 * n, -1, dtype=np.intp),
-    )
+    )  # fmt: skip
     stray = int((readings.returned & ~hit).sum()) / max(float(readings.reach.sum()), 1e-9)
     return faces, ReturnNoise(sigma=sigma, stray=stray), hits[order]
 

@@ -89,23 +89,9 @@ def ranges_to_stretch(
 
 @kernel
 def count_along_line(
-    origins: Any,
-    directions: Any,
-    halves: Any,
-    ranges: Any,
-    reach: Any,
-    unexplained: Any,
-    nx: Any,
-    ny: Any,
-    d: Any,
-    tolerance: Any,
-    margin: Any,
-    start: Any,
-    size: Any,
-    hits: Any,
-    new_hits: Any,
-    passes: Any,
-) -> Any:
+    origins: Any, directions: Any, halves: Any, ranges: Any, reach: Any, unexplained: Any, nx: Any, ny: Any,
+    d: Any, tolerance: Any, margin: Any, start: Any, size: Any, hits: Any, new_hits: Any, passes: Any,
+) -> Any:  # fmt: skip
     """Count readings in bins of `size` [m] along a line, from the abscissa `start`.
 
     Fills `hits` with the number of readings that end in a bin, within `tolerance` [m], and `new_hits` with the number
@@ -208,24 +194,9 @@ def is_cone_observed(
 
 @kernel
 def predict_cones(
-    x: Any,
-    y: Any,
-    cos: Any,
-    sin: Any,
-    cos_b: Any,
-    sin_b: Any,
-    halves: Any,
-    range_max: Any,
-    stretches: Any,
-    levels: Any,
-    sigma: Any,
-    origin: Any,
-    cell: Any,
-    clearance: Any,
-    which: Any,
-    table: Any,
-    supported: Any,
-) -> Any:
+    x: Any, y: Any, cos: Any, sin: Any, cos_b: Any, sin_b: Any, halves: Any, range_max: Any, stretches: Any,
+    levels: Any, sigma: Any, origin: Any, cell: Any, clearance: Any, which: Any, table: Any, supported: Any,
+) -> Any:  # fmt: skip
     """Fill table (n_poses, n_rays, 6) as `mixture.summarise`, and `supported` (n_poses, n_rays).
 
     The nearest stretch m stops the cone with probability w_m, so its weight is w_m prod_{i<m} (1 - w_i).

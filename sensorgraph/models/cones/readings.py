@@ -69,17 +69,9 @@ class ConeReadings:
         r, t = np.empty(len(self)), np.empty(len(self))
         nx, ny = float(np.cos(stretch.angle)), float(np.sin(stretch.angle))
         ranges_to_stretch(
-            self.origins,
-            self.directions,
-            self.halves,
-            nx,
-            ny,
-            stretch.offset,
-            stretch.low,
-            stretch.high,
-            r,
-            t,
-        )
+            self.origins, self.directions, self.halves, nx, ny, stretch.offset, stretch.low, stretch.high,
+            r, t,
+        )  # fmt: skip
         return r, t
 
     def refit(self, stretch: Stretch, sigma: float, *, with_ends: bool = False) -> Stretch:

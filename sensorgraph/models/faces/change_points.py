@@ -77,14 +77,11 @@ def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
         first.append(first[-1] + len(cut))
     n_edges = first[-1]
     return FaceSet(
-        normals=faces.normals,
-        offsets=faces.offsets,
-        first=np.array(first, dtype=np.intp),
+        normals=faces.normals, offsets=faces.offsets, first=np.array(first, dtype=np.intp),
         edges=np.concatenate(edges) if edges else np.zeros(0),
         levels=np.concatenate(levels) if levels else np.zeros(0),
-        blur=np.concatenate(blur) if blur else np.zeros(0),
-        neighbour=np.full(n_edges, -1, dtype=np.intp),
-    )
+        blur=np.concatenate(blur) if blur else np.zeros(0), neighbour=np.full(n_edges, -1, dtype=np.intp),
+    )  # fmt: skip
 
 
 def crossings_of(
@@ -133,27 +130,21 @@ def take_faces(faces: FaceSet, index: Ints) -> FaceSet:
     renamed = np.full(faces.n_faces + 1, -1, dtype=np.intp)
     renamed[index] = np.arange(len(index))
     return FaceSet(
-        normals=faces.normals[index],
-        offsets=faces.offsets[index],
+        normals=faces.normals[index], offsets=faces.offsets[index],
         first=np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.intp),
-        edges=faces.edges[place],
-        levels=faces.levels[place],
-        blur=faces.blur[place],
+        edges=faces.edges[place], levels=faces.levels[place], blur=faces.blur[place],
         neighbour=renamed[faces.neighbour[place]],
-    )
+    )  # fmt: skip
 
 
 def joined_faces(a: FaceSet, b: FaceSet) -> FaceSet:
     """Concatenate faces, those of `a` first; neighbours refer to `a`."""
     return FaceSet(
-        normals=np.concatenate([a.normals, b.normals]),
-        offsets=np.concatenate([a.offsets, b.offsets]),
+        normals=np.concatenate([a.normals, b.normals]), offsets=np.concatenate([a.offsets, b.offsets]),
         first=np.concatenate([a.first, a.first[-1] + b.first[1:]]),
-        edges=np.concatenate([a.edges, b.edges]),
-        levels=np.concatenate([a.levels, b.levels]),
-        blur=np.concatenate([a.blur, b.blur]),
-        neighbour=np.concatenate([a.neighbour, b.neighbour]),
-    )
+        edges=np.concatenate([a.edges, b.edges]), levels=np.concatenate([a.levels, b.levels]),
+        blur=np.concatenate([a.blur, b.blur]), neighbour=np.concatenate([a.neighbour, b.neighbour]),
+    )  # fmt: skip
 
 
 @kernel

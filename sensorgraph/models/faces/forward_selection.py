@@ -86,16 +86,10 @@ def select_lines(hit_moments: HitMoments, *, sigma: float, limits: LineLimits = 
     grid[column, row] = np.arange(len(hit_moments.cells), dtype=np.int32)
     middle = hit_moments.centres.mean(axis=0)  # so that d is small far from the origin of map
     rows = _select_lines(
-        grid,
-        np.ascontiguousarray(column),
-        np.ascontiguousarray(row),
-        hit_moments.centres - middle,
-        hit_moments.moments,
-        float(max(BAND_SIGMAS * sigma, MIN_BAND)),
-        limits.min_hits,
-        limits.gap,
+        grid, np.ascontiguousarray(column), np.ascontiguousarray(row), hit_moments.centres - middle,
+        hit_moments.moments, float(max(BAND_SIGMAS * sigma, MIN_BAND)), limits.min_hits, limits.gap,
         limits.min_length,
-    )
+    )  # fmt: skip
     normals = rows[:, :2]
     tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
     return Lines(
@@ -107,16 +101,9 @@ def select_lines(hit_moments: HitMoments, *, sigma: float, limits: LineLimits = 
 
 @kernel
 def _select_lines(
-    grid: Any,
-    column: Any,
-    row: Any,
-    centres: Any,
-    moments: Any,
-    band: Any,
-    min_hits: Any,
-    gap: Any,
+    grid: Any, column: Any, row: Any, centres: Any, moments: Any, band: Any, min_hits: Any, gap: Any,
     min_length: Any,
-) -> Any:
+) -> Any:  # fmt: skip
     n_cells = len(column)
     angle = _normal_bins(grid, column, row, centres, moments)
     mean = np.empty((n_cells, 2))
@@ -152,18 +139,9 @@ def _select_lines(
             break
         a, k = int(best), int(places[best])
         line, members = _fit_run(
-            cos[a],
-            sin[a],
-            (k - 2 + 0.5) * OFFSET_BIN - reach,
-            mean,
-            moments,
-            live,
-            angle,
-            band,
-            gap,
-            min_length,
-            min_hits,
-        )
+            cos[a], sin[a], (k - 2 + 0.5) * OFFSET_BIN - reach, mean, moments, live, angle, band, gap,
+            min_length, min_hits,
+        )  # fmt: skip
         if len(members) == 0:
             votes[a, k] = 0.0  # no line satisfies the limits there
             stale[a] = True

@@ -82,14 +82,10 @@ class Faces(FacesData):
                 "set `model` to polynomial or remove the option"
             )
         fitted = cls.fit_blocks(
-            blocks_of(scans),
-            scans.sensor,
-            scans.laser_mount,
-            n_scans=len(scans),
-            can_mount=scans.pose_frame != "laser",
-            calibrate=options.get("calibrate"),
+            blocks_of(scans), scans.sensor, scans.laser_mount, n_scans=len(scans),
+            can_mount=scans.pose_frame != "laser", calibrate=options.get("calibrate"),
             progress=no_progress if progress is None else lambda label, unit: nullcontext(progress),
-        )
+        )  # fmt: skip
         wanted = options.get("cells")
         cluttered = fitted.is_cluttered if wanted is None else bool(wanted)
         return fitted.with_cells(scans, progress=progress) if cluttered else fitted
@@ -110,17 +106,10 @@ class Faces(FacesData):
 
     @classmethod
     def fit_blocks(
-        cls,
-        blocks: Iterable[Block],
-        sensor: RangeSensor,
-        mount: Floats,
-        *,
-        n_scans: int,
-        map_blocks: MapBlocks = map,
-        can_mount: bool = True,
-        calibrate: bool | None = None,
+        cls, blocks: Iterable[Block], sensor: RangeSensor, mount: Floats, *, n_scans: int,
+        map_blocks: MapBlocks = map, can_mount: bool = True, calibrate: bool | None = None,
         progress: ProgressBars = no_progress,
-    ) -> Self:
+    ) -> Self:  # fmt: skip
         """Identify faces from blocks of scans, which need not fit into memory together.
 
         Parameters
@@ -149,17 +138,12 @@ class Faces(FacesData):
             reduced = replace(reduced, observed=observed_by(found.rays))
         fitted, scale = found.fitted, scale_of(found.rays, reduced.n_rays)
         return cls(
-            sensor=sensor,
-            faces=fitted.faces,
-            noise=fitted.noise,
-            hits=scale * fitted.hits,
+            sensor=sensor, faces=fitted.faces, noise=fitted.noise, hits=scale * fitted.hits,
             observed=reduced.observed.with_missing(found.rays.ranges, sensor.range_max),
-            returns=reduced.n_returns / reduced.n_rays,
-            mount=found.mount,
-            calibration=found.calibration,
+            returns=reduced.n_returns / reduced.n_rays, mount=found.mount, calibration=found.calibration,
             n_rays=reduced.n_rays,
             statistics=None if fitted.statistics is None else fitted.statistics.scaled(scale),
-        )
+        )  # fmt: skip
 
     def updated(
         self,
@@ -190,15 +174,11 @@ class Faces(FacesData):
                 n_rays=new.n_rays, pose_errors=pose_errors,
             )  # fmt: skip
         return replace(
-            self,
-            faces=faces,
-            noise=noise,
-            hits=statistics.line_sums[:, 5].copy(),
+            self, faces=faces, noise=noise, hits=statistics.line_sums[:, 5].copy(),
             observed=self.observed.merge(new.observed.with_missing(rays.ranges, self.sensor.range_max)),
             returns=(self.returns * self.n_rays + new.n_returns) / (self.n_rays + new.n_rays),
-            n_rays=self.n_rays + new.n_rays,
-            statistics=statistics,
-        )
+            n_rays=self.n_rays + new.n_rays, statistics=statistics,
+        )  # fmt: skip
 
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""

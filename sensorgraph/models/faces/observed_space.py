@@ -35,14 +35,9 @@ class ObservedSpace:
 
     @classmethod
     def of(
-        cls,
-        origins: Floats,
-        directions: Floats,
-        reach: Floats,
-        *,
-        returned: Bools | None = None,
+        cls, origins: Floats, directions: Floats, reach: Floats, *, returned: Bools | None = None,
         cell: float = FACES.observed_cell,
-    ) -> ObservedSpace:
+    ) -> ObservedSpace:  # fmt: skip
         """Count rays (n, 2), (n, 2) up to `reach` (n,) [m]; rays in the mask `returned` (n,), or all, mark free space."""
         ends = origins + reach[:, None] * directions
         low, high = np.minimum(origins, ends).min(axis=0), np.maximum(origins, ends).max(axis=0)

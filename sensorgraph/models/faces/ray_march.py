@@ -129,17 +129,9 @@ def bucket_grid(faces: FaceSet) -> BucketGrid:
 
 @kernel
 def _rasterise(
-    normals: Any,
-    offsets: Any,
-    first: Any,
-    edges: Any,
-    levels: Any,
-    origin: Any,
-    nx: Any,
-    ny: Any,
-    at: Any,
+    normals: Any, offsets: Any, first: Any, edges: Any, levels: Any, origin: Any, nx: Any, ny: Any, at: Any,
     members: Any,
-) -> Any:
+) -> Any:  # fmt: skip
     """Count the buckets of each face in `at`, or fill `members` from these indices if it is not empty."""
     fill = len(members) > 0
     for k in range(len(offsets)):

@@ -224,20 +224,9 @@ def _concatenate(samples: Sequence[RaySample]) -> RaySample:
 
 @kernel
 def _flatten(
-    x: Any,
-    y: Any,
-    cos: Any,
-    sin: Any,
-    cos_b: Any,
-    sin_b: Any,
-    ranges: Any,
-    range_max: Any,
-    origins: Any,
-    directions: Any,
-    ends: Any,
-    reach: Any,
-    place: Any,
-) -> Any:
+    x: Any, y: Any, cos: Any, sin: Any, cos_b: Any, sin_b: Any, ranges: Any, range_max: Any, origins: Any,
+    directions: Any, ends: Any, reach: Any, place: Any,
+) -> Any:  # fmt: skip
     """List valid rays that are not too close: starts q, directions u and end points q + z u (nan without a return)."""
     n, n_returns = 0, 0
     for i in range(ranges.shape[0]):

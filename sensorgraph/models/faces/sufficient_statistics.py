@@ -68,18 +68,13 @@ class SufficientStatistics:
         counts = np.ones(len(rays)) if rays.weights is None else rays.weights
         hits = HitMoments.of(rays.hits[unexplained], rays.directions[unexplained], counts[unexplained])
         return cls(
-            line_sums=scale * expectation.line_sums,
-            stops=scale * expectation.stops,
-            reached=scale * expectation.reached,
-            noise_sums=scale * expectation.noise_sums,
+            line_sums=scale * expectation.line_sums, stops=scale * expectation.stops,
+            reached=scale * expectation.reached, noise_sums=scale * expectation.noise_sums,
             stray=scale * np.array([counts @ expectation.unexplained, expectation.distance]),
-            unexplained_hits=HitMoments(cells=hits.cells, moments=scale * hits.moments),
-            face=face,
-            t=crossings.t[place],
-            stop=crossings.stop[place],
-            weight=crossings.weight[place],
+            unexplained_hits=HitMoments(cells=hits.cells, moments=scale * hits.moments), face=face,
+            t=crossings.t[place], stop=crossings.stop[place], weight=crossings.weight[place],
             error=crossings.error[place],
-        )
+        )  # fmt: skip
 
     def scaled(self, scale: float) -> SufficientStatistics:
         """Return the statistics of `scale` times as many rays."""

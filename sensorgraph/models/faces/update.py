@@ -43,15 +43,9 @@ EXPLAINED_WITHIN = 0.03
 
 
 def update_faces(
-    faces: FaceSet,
-    noise: ReturnNoise,
-    statistics: SufficientStatistics,
-    observed: ObservedSpace,
-    rays: Rays,
-    *,
-    n_rays: int,
-    pose_errors: tuple[float, float] = (0.0, 0.0),
-) -> tuple[FaceSet, ReturnNoise, SufficientStatistics]:
+    faces: FaceSet, noise: ReturnNoise, statistics: SufficientStatistics, observed: ObservedSpace,
+    rays: Rays, *, n_rays: int, pose_errors: tuple[float, float] = (0.0, 0.0),
+) -> tuple[FaceSet, ReturnNoise, SufficientStatistics]:  # fmt: skip
     """Return faces, noise and statistics with new rays added.
 
     New rays add to the sums of old faces: they move lines and edges according to their weight, and lower the visibility
@@ -184,14 +178,10 @@ def _merge_statistics(
         total[a:b] = np.bincount(j, weights=weight, minlength=b - a)
         stops[a:b] = np.bincount(j, weights=weight * stop, minlength=b - a)
     return replace(
-        new,
-        line_sums=lines + new.line_sums,
-        stops=stops,
-        reached=total,
-        noise_sums=old.noise_sums + new.noise_sums,
-        stray=old.stray + new.stray,
+        new, line_sums=lines + new.line_sums, stops=stops, reached=total,
+        noise_sums=old.noise_sums + new.noise_sums, stray=old.stray + new.stray,
         unexplained_hits=_still_unexplained(old.unexplained_hits, faces).merge(new.unexplained_hits),
-    )
+    )  # fmt: skip
 
 
 def _still_unexplained(unexplained: HitMoments, faces: FaceSet) -> HitMoments:

@@ -167,14 +167,11 @@ def binned_faces(lines: Lines) -> FaceSet:
         first.append(first[-1] + n + 1)
     n_edges = first[-1]
     return FaceSet(
-        normals=lines.normals.copy(),
-        offsets=lines.offsets.copy(),
-        first=np.array(first, dtype=np.intp),
+        normals=lines.normals.copy(), offsets=lines.offsets.copy(), first=np.array(first, dtype=np.intp),
         edges=np.concatenate(edges) if edges else np.zeros(0),
-        levels=np.concatenate(levels) if levels else np.zeros(0),
-        blur=np.zeros(n_edges),
+        levels=np.concatenate(levels) if levels else np.zeros(0), blur=np.zeros(n_edges),
         neighbour=np.full(n_edges, -1, dtype=np.intp),
-    )
+    )  # fmt: skip
 
 
 def visible_lines(faces: FaceSet) -> Lines:
@@ -197,15 +194,9 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
     sums = stops, reached, lines, spread, unexplained, nats, total
     _e_step(rays.arrays, faces, buckets, noise.array, work, sums)
     return Expectation(
-        stops=stops,
-        reached=reached,
-        line_sums=lines,
-        noise_sums=spread,
-        unexplained=unexplained,
-        nats=nats,
-        log_likelihood=float(total[0]),
-        distance=float(total[1]),
-    )
+        stops=stops, reached=reached, line_sums=lines, noise_sums=spread, unexplained=unexplained,
+        nats=nats, log_likelihood=float(total[0]), distance=float(total[1]),
+    )  # fmt: skip
 
 
 @inner_kernel

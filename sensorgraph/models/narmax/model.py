@@ -118,16 +118,10 @@ class RayNarmax(NarmaxParameters):
             signals = motion.signals(some, self.form.lags)
             driven[some] = chosen.matrix(signals, self.scale, n=len(some)) @ weights
         return recursion.Equations(
-            form=self.form,
-            scale=self.readings,
-            gains=self._gains,
-            noise=self.noise,
-            limits=(self.sensor.range_min, self.sensor.range_max),
-            position=motion.position,
-            twists=motion.twists,
-            start=self._start(motion.poses),
-            driven=driven,
-        )
+            form=self.form, scale=self.readings, gains=self._gains, noise=self.noise,
+            limits=(self.sensor.range_min, self.sensor.range_max), position=motion.position,
+            twists=motion.twists, start=self._start(motion.poses), driven=driven,
+        )  # fmt: skip
 
     @cached_property
     def _driven_terms(self) -> tuple[Terms, Floats]:

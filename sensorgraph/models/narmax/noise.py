@@ -125,14 +125,11 @@ def estimate(phi: Floats, y: Floats, twists: Floats, index: Ints, noise_lags: in
     inverse_R = np.linalg.pinv(R)
     variance = np.einsum("ij,jk,ik->i", inverse_R, spread[:k, :k], inverse_R)
     return RayEstimate(
-        kept=np.ones(k, dtype=np.bool_),
-        theta=inverse_R @ beta,
-        stderr=np.sqrt(np.maximum(variance, 0.0)),
+        kept=np.ones(k, dtype=np.bool_), theta=inverse_R @ beta, stderr=np.sqrt(np.maximum(variance, 0.0)),
         noise=noise,
         noise_stderr=np.sqrt(np.maximum(np.diagonal(spread)[k:], 0.0)) if noise.any() else zero,
-        sigma=sigma,
-        tests=_tests(e, jacobian, twists, runs),
-    )
+        sigma=sigma, tests=_tests(e, jacobian, twists, runs),
+    )  # fmt: skip
 
 
 def _prediction_error(

@@ -60,15 +60,11 @@ def restored(
     centre, width = map(float, header["readings"])
     check_range("the width of the readings", width, 1e-6)
     return dict(
-        sensor=sensor,
-        form=form,
-        scale=scale,
-        readings=ReadingScale(centre=centre, width=width),
-        leverage_limit=float(header["leverage_limit"]),
-        support=Support.restore(header["support"], arrays),
+        sensor=sensor, form=form, scale=scale, readings=ReadingScale(centre=centre, width=width),
+        leverage_limit=float(header["leverage_limit"]), support=Support.restore(header["support"], arrays),
         used={name: int(header["used"][name]) for name in ("scans", "rows", "dropped", "stretches")},
         **{name: arrays[name] for name in ARRAYS},
-    )
+    )  # fmt: skip
 
 
 def form_of(options: Mapping[str, Any]) -> NarmaxForm:

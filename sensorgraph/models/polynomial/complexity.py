@@ -48,15 +48,9 @@ def n_candidates(degree: int, harmonics: int) -> int:
 
 
 def select_form(
-    scans: TrainingScans,
-    scale: Scale,
-    dictionary: Callable[[int, int], Terms],
-    *,
-    degree: Auto = "auto",
-    harmonics: Auto = "auto",
-    n_terms: Auto = "auto",
-    progress: Progress | None = None,
-) -> PolynomialForm:
+    scans: TrainingScans, scale: Scale, dictionary: Callable[[int, int], Terms], *, degree: Auto = "auto",
+    harmonics: Auto = "auto", n_terms: Auto = "auto", progress: Progress | None = None,
+) -> PolynomialForm:  # fmt: skip
     """Return the form with the smallest mean error on held-out stretches of the training scans.
 
     Raises

@@ -119,17 +119,10 @@ class Polynomial:
         fitted = _select_all(scans, terms, scale, form.n_terms, progress)
         root, limit = _leverage(scans, terms, scale, fitted.pop("gram"))
         draft = cls(
-            sensor=scans.sensor,
-            form=form,
-            terms=terms,
-            scale=scale,
-            sigma=np.zeros(scans.sensor.n_rays),
-            spread=np.zeros((scans.sensor.n_rays, len(QUANTILES))),
-            root=root,
-            leverage_limit=limit,
-            support=Support.of(scans.poses, sees_around=sees_around(scans.sensor)),
-            **fitted,
-        )
+            sensor=scans.sensor, form=form, terms=terms, scale=scale, sigma=np.zeros(scans.sensor.n_rays),
+            spread=np.zeros((scans.sensor.n_rays, len(QUANTILES))), root=root, leverage_limit=limit,
+            support=Support.of(scans.poses, sees_around=sees_around(scans.sensor)), **fitted,
+        )  # fmt: skip
         return draft._with_residuals(scans)
 
     def _with_residuals(self, scans: TrainingScans) -> Self:
@@ -267,14 +260,10 @@ class Polynomial:
         scale = Scale.from_dict(header["scale"])
         check_scale(scale, form.degree)
         return cls(
-            sensor=sensor,
-            form=form,
-            terms=terms,
-            scale=scale,
+            sensor=sensor, form=form, terms=terms, scale=scale,
             leverage_limit=float(header["leverage_limit"]),
-            support=Support.restore(header["support"], arrays),
-            **{name: arrays[name] for name in _ARRAYS},
-        )
+            support=Support.restore(header["support"], arrays), **{name: arrays[name] for name in _ARRAYS},
+        )  # fmt: skip
 
 
 _ARRAYS = ("order", "err", "stderr", "theta", "theta_none", "returns", "nothing", "sigma", "spread", "root")
