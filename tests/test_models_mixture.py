@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plain_mixture import summarise_plain
 from scipy.special import ndtr
 
-from benchmarks.plain_mixture import summarise_plain
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.mixture import summarise, to_prediction, which_of
 
