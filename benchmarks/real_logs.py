@@ -18,13 +18,14 @@ import numpy as np
 from benchmarks.arguments import parser_of
 from benchmarks.measures import timed
 from logs import Run, pair, read
+from logs.transforms import compose
 from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.building.split import held_out
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.cells.evidence import CellEvidence
-from sensorgraph.models.cells.key_frames import is_key_frame, laser_poses
+from sensorgraph.models.cells.key_frames import is_key_frame
 from sensorgraph.models.cells.learning import fit_logistic, is_set_aside, training_samples
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import tabulate
@@ -55,7 +56,7 @@ class TrainingLog:
         keep = train[is_key_frame(pairing.poses[train], np.zeros(len(train), dtype=np.intp))]
         poses = pairing.poses[keep]
         if run.pose_frame == "base_link":
-            poses = laser_poses(poses, run.sensor.mount)
+            poses = compose(poses, run.sensor.mount)
         return cls(name=path.name, run=run, poses=poses, ranges=run.ranges[keep])
 
 

@@ -28,12 +28,12 @@ from benchmarks.arguments import parser_of
 from benchmarks.occupancy_grid import Grid, held_placements, tuned
 from logs import Run, pair, read
 from logs.motion import ray_poses
-from logs.transforms import wrap
+from logs.transforms import compose, wrap
 from planners.types import Bools, Floats, Ints
 from sensorgraph.building.build import build
 from sensorgraph.building.split import N_STRETCHES
 from sensorgraph.models.base import OFF_DISTANCE
-from sensorgraph.models.cells.key_frames import is_key_frame, laser_poses
+from sensorgraph.models.cells.key_frames import is_key_frame
 from sensorgraph.show.figures.style import new_figure, save_figure
 
 LEVELS = (0.5, 0.9, 0.99)
@@ -157,7 +157,7 @@ def score(run: Run, held: Bools, most: int, dither: float) -> Scored:
     z = ranges[use]
     half = np.broadcast_to(((np.arange(len(test)) * 10 // len(test)) % 2 == 0)[:, None], use.shape)[use]
     own = graph.log_likelihood(ranges, each, correlated=False, per_ray=True)[use]
-    to_laser = (lambda p: p) if run.pose_frame == "laser" else (lambda p: laser_poses(p, run.sensor.mount))
+    to_laser = (lambda p: p) if run.pose_frame == "laser" else (lambda p: compose(p, run.sensor.mount))
     grid_args = to_laser(pairing.poses[train]), run.ranges[train], run.sensor.bearings
     threshold = tuned(Grid, *grid_args)["grid, least MAE"]
     expected, _ = Grid(*grid_args).cast(to_laser(poses), threshold)

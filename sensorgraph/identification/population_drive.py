@@ -7,11 +7,11 @@ Motors: omega <- omega + clip((turn - omega) (1 - exp(-dt / tau)), ± alpha dt).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from logs.transforms import compose
 from robotmodic_ident import Terms
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.types import Bools, Floats, Ints
@@ -73,9 +73,7 @@ class ClosedLoopPopulation:
         return self.model.draw(self._there(poses), uniform, normal, self.rays)
 
     def _there(self, poses: Floats) -> Floats:
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x, y, yaw = self.mount
-        return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, poses[:, 2] + yaw])
+        return compose(poses, self.mount)
 
     def clearance(self, xy: Floats) -> Floats:
         """Return the distance (n,) [m] of points (n, 2) to the nearest wall; 0 outside."""
@@ -123,7 +121,7 @@ class ClosedLoopPopulation:
             command = turn
             for _ in range(steps):
                 waiting = [*waiting[1:], command]
-                v, omega = self._motors(v, omega, speed, waiting[0])
+                v, omega = self._motors(v, omega, speed, waiting[0], robot.actuators.tau)
                 poses, held = self._moved(poses, v, omega)
                 touch += held / steps
             right = poses[:, :2] + RIGHT_OFFSET * np.column_stack([np.sin(poses[:, 2]), -np.cos(poses[:, 2])])
@@ -136,10 +134,11 @@ class ClosedLoopPopulation:
             touching=(touch / n_scans).reshape(shape),
         )
 
-    def _motors(self, v: Floats, omega: Floats, speed: float, turn: Floats) -> tuple[Floats, Floats]:
-        """Return the twists one step later: first-order lag with limited acceleration."""
-        limits, tau = self.robot.limits, self.robot.actuators.tau
-        share = 1.0 - math.exp(-MOTION_STEP / tau) if tau > 0 else 1.0
+    def _motors(
+        self, v: Floats, omega: Floats, speed: float, turn: Floats, tau: float | Floats
+    ) -> tuple[Floats, Floats]:
+        """Return the twists one step later: first-order lag of `tau` [s] with limited acceleration."""
+        limits, share = self.robot.limits, 1.0 - np.exp(-MOTION_STEP / np.maximum(tau, 1e-9))
         dv, domega = limits.a * MOTION_STEP, limits.alpha * MOTION_STEP
         return (
             v + np.clip((speed - v) * share, -dv, dv),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.transforms import compose
 from robotmodic_ident import Narmax
 from sensorgraph.identification.population_drive import MOTION_STEP, ClosedLoopPopulation
 from sensorgraph.types import Floats, Progress
@@ -91,7 +92,8 @@ class VariedPopulation(ClosedLoopPopulation):
             command = self._steered(controller, poses, scan, command)
             for _ in range(steps):
                 waiting = np.concatenate([command[None], waiting[:-1]])
-                v, omega = self._driven(v, omega, speed, waiting[late, np.arange(n)])
+                turn = varied.wheels * waiting[late, np.arange(n)]
+                v, omega = self._motors(v, omega, speed, turn, varied.tau)
                 poses, now = self._moved(poses, v, omega)
                 contacts += now & ~held
                 held = now
@@ -136,11 +138,9 @@ class VariedPopulation(ClosedLoopPopulation):
 
     def _disc_ranges(self, poses: Floats) -> Floats:
         """Return the distance (n, n_rays) [m] of the disc along each ray; inf if the ray misses it."""
-        x, y, yaw = self.robot.sensor.mount
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        laser = poses[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
-        heading = (poses[:, 2] + yaw + self.varied.yaw)[:, None] + self.bearings
-        to = (np.empty_like(laser) if self.discs is None else self.discs) - laser
+        lasers = compose(poses, self.robot.sensor.mount)
+        heading = (lasers[:, 2] + self.varied.yaw)[:, None] + self.bearings
+        to = (np.zeros(2) if self.discs is None else self.discs) - lasers[:, :2]
         along = to[:, :1] * np.cos(heading) + to[:, 1:] * np.sin(heading)
         reach = along**2 - (to**2).sum(axis=1)[:, None] + OBSTACLE_RADIUS**2
         near = along - np.sqrt(np.maximum(reach, 0.0))
@@ -154,14 +154,4 @@ class VariedPopulation(ClosedLoopPopulation):
         return np.asarray(
             np.minimum(free, np.maximum(np.hypot(*(xy - self.discs).T) - OBSTACLE_RADIUS, 0.0)),
             dtype=np.float64,
-        )
-
-    def _driven(self, v: Floats, omega: Floats, speed: float, turn: Floats) -> tuple[Floats, Floats]:
-        """Return the twists one step later: first-order lag, limited acceleration, ratio of the wheel base."""
-        limits, tau = self.robot.limits, np.maximum(self.varied.tau, 1e-9)
-        share = 1.0 - np.exp(-MOTION_STEP / tau)
-        dv, domega = limits.a * MOTION_STEP, limits.alpha * MOTION_STEP
-        return (
-            v + np.clip((speed - v) * share, -dv, dv),
-            omega + np.clip((turn * self.varied.wheels - omega) * share, -domega, domega),
         )

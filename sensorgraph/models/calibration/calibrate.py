@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.run import RangeSensor
+from logs.transforms import compose, wrap
 from sensorgraph.models.calibration.gauge import Gauge, estimate_gauge
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.calibration.matching import (
@@ -40,7 +41,6 @@ from sensorgraph.models.calibration.normal_equations import (
 from sensorgraph.models.calibration.pose_refinement import (
     LaserPoses,
     RefinedPoses,
-    compose_poses,
     exceeds_max_noise,
     refine_poses,
 )
@@ -305,7 +305,7 @@ class _JointCalibration:
         self.terms = _terms(values)
         if chosen[MOUNT].any():
             self.has_mount = True
-            self.mount = compose_poses(self.mount[None], values[MOUNT])[0]
+            self.mount = compose(self.mount, values[MOUNT])
             self.offset_se = standard_errors(normal, chosen)[MOUNT]
         logger.info(
             "mount %s, %d + %d rays, incidence %s mm", np.round(self.mount - self.specified, 5),
@@ -337,10 +337,12 @@ class _JointCalibration:
             self.adjust(incidence=True, shift=found.shift)
 
     def calibration(self) -> Calibration:
+        offset = self.mount - self.specified
+        offset[2] = wrap(offset[2])
         # the mean error of the poses over all scans cannot be distinguished from a mount error
         limits = np.array([*2 * self.pose_noise[:1], self.pose_noise[1]]) / math.sqrt(self.n_scans)
         return Calibration(
-            terms=self.terms, offset=self.mount - self.specified,
+            terms=self.terms, offset=offset,
             offset_se=np.hypot(self.offset_se, limits), can_mount=self.can_mount,
             n_own=int(self.has_own.any(axis=0).sum()), gauge=self.gauge, sigma_xy=self.pose_noise[0],
             sigma_yaw=self.pose_noise[1],

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.transforms import compose
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.calibration.settings import CALIBRATION
@@ -99,17 +100,6 @@ def exceeds_max_noise(sigma_xy: float, sigma_yaw: float) -> bool:
     return sigma_xy > most_xy or sigma_yaw > most_yaw
 
 
-def compose_poses(lasers: Floats, shifts: Floats) -> Floats:
-    """Compose laser poses (n, 3) with shifts (n, 3) or (3,) in their own frames."""
-    cos, sin = np.cos(lasers[:, 2]), np.sin(lasers[:, 2])
-    dx, dy, turn = shifts.T
-    moved = np.empty_like(lasers)
-    moved[:, 0] = lasers[:, 0] + cos * dx - sin * dy
-    moved[:, 1] = lasers[:, 1] + sin * dx + cos * dy
-    moved[:, 2] = lasers[:, 2] + turn
-    return moved
-
-
 class LaserPoses:
     """Poses of the laser from a mount and refined poses; the results are cached, since a sweep has millions of poses."""
 
@@ -123,11 +113,11 @@ class LaserPoses:
     def at(self, mount: Floats, shifts: Floats) -> Floats:
         """Return the laser poses (n, 3) for a mount (3,) and shifts (n_scans, 3); the cache compares arrays by identity."""
         if self._mounted is None or self._mounted[0] is not mount:
-            self._mounted, self._moved = (mount, compose_poses(self.poses, mount)), None
+            self._mounted, self._moved = (mount, compose(self.poses, mount)), None
         if not shifts.any():
             return self._mounted[1]
         if self._moved is None or self._moved[0] is not mount or self._moved[1] is not shifts:
-            self._moved = mount, shifts, compose_poses(self._mounted[1], shifts[self.scan])
+            self._moved = mount, shifts, compose(self._mounted[1], shifts[self.scan])
         return self._moved[2]
 
 

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.transforms import compose
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.stored_numbers import check_shape
@@ -37,7 +38,7 @@ class KeyFrames:
         keep = is_key_frame(scans.poses, scans.run)
         own_poses = scans.poses if scans.ray_poses is None else scans.ray_poses
         frames = cls(
-            poses=laser_poses(own_poses[keep], scans.laser_mount),
+            poses=compose(own_poses[keep], scans.laser_mount),
             ranges=scans.ranges[keep],
             n_scans=len(scans),
         )
@@ -103,11 +104,3 @@ def is_key_frame(poses: Floats, run: Ints) -> Bools:
         keep[i] = True
         last = i
     return keep
-
-
-def laser_poses(poses: Floats, mount: Floats) -> Floats:
-    """Return the pose of the laser in map (..., 3) for poses (..., 3) of the frame that carries it."""
-    cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    x = poses[..., 0] + cos * mount[0] - sin * mount[1]
-    y = poses[..., 1] + sin * mount[0] + cos * mount[1]
-    return np.stack([x, y, poses[..., 2] + mount[2]], axis=-1)

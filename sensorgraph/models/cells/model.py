@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
+from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
 from sensorgraph.models.cells.distribution import KNOTS, NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
 from sensorgraph.models.cells.drawing import draw_readings
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import per_ray
-from sensorgraph.models.cells.key_frames import KeyFrames, laser_poses
+from sensorgraph.models.cells.key_frames import KeyFrames
 from sensorgraph.models.cells.learning import is_set_aside, n_folds_of
 from sensorgraph.models.cells.ray_march import RATES, CellTable, list_candidates, new_work, tabulate
 from sensorgraph.models.cells.set_aside import learn_visibility, summarise_poses
@@ -128,7 +129,7 @@ class CellModel:
     def predict(self, poses: Floats, rays: Ints, point: Point) -> Prediction:
         """Predict rays (n_rays,) at poses (n_poses, 3)."""
         out, near, unobserved = summarise_poses(
-            self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays], point
+            self.table, compose(poses, self.mount), self.sensor.bearings[rays], point
         )
         out[..., P_OFF] = np.interp(out[..., P_OFF], KNOTS, self.reliability[which_of(point)])
         beyond = out[..., NO_RETURN] > 0.5
@@ -141,7 +142,7 @@ class CellModel:
     def mixture(self, poses: Floats, rays: Ints) -> Mixture:
         """Return the mixtures of rays (n_rays,) at poses (n_poses, 3), within reach; the arrays are large."""
         means, weights, widths, survival = list_candidates(
-            self.table, laser_poses(poses, self.mount), self.sensor.bearings[rays], room=2
+            self.table, compose(poses, self.mount), self.sensor.bearings[rays], room=2
         )
         reliability = self.reliability[which_of("mode")]
         shape_mixtures(means, weights, widths, self.table.reach, reliability, self.tails)
@@ -166,7 +167,7 @@ class CellModel:
         out = np.empty((*supported.shape, ranges.shape[2]))
         longest = max(self.sensor.range_max - self.table.reach, self.table.cell)
         fill_log_likelihoods(
-            per_ray(laser_poses(poses, self.mount)), self.sensor.bearings[rays], self.table,
+            per_ray(compose(poses, self.mount)), self.sensor.bearings[rays], self.table,
             new_work(self.table, 2), self.reliability[which_of("mode")], self.tails, (self.nothing, 1.0 / longest), np.ascontiguousarray(ranges),
             self.sensor.range_min, out, supported,
         )  # fmt: skip
@@ -178,7 +179,7 @@ class CellModel:
         """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture, as `draw_readings` does."""
         return draw_readings(
             self.table, (self.reliability[which_of("mode")], self.tails, self.nothing),
-            laser_poses(poses, self.mount), self.sensor.bearings[rays], uniform, normal,
+            compose(poses, self.mount), self.sensor.bearings[rays], uniform, normal,
         )  # fmt: skip
 
     def equation(self, ray: int) -> str:

@@ -96,17 +96,15 @@ def tabulate(
     evidence: CellEvidence,
     beta: Floats | None,
     spread: tuple[float, float, float],
-    *,
-    chance: float = 0.2,
 ) -> CellTable:
     """Compute the lookup table from (widened) evidence and the coefficients of the visibility polynomial.
 
-    `spread` holds sigma, across and rough [m]. Without beta, every cell stops a ray with the probability `chance`.
+    `spread` holds sigma, across and rough [m]. Without beta, every cell stops a ray with the probability 0.2.
     """
     window = evidence.window
     angle, offset = local_lines(evidence)
     if beta is None:
-        rate = np.full(angle.shape, -math.log1p(-chance) / window.cell)
+        rate = np.full(angle.shape, -math.log1p(-0.2) / window.cell)
     else:
         rate = np.logaddexp(0.0, logits(evidence, beta)) / window.cell  # -log(1 - p) per cell side
     n = evidence.n_rows

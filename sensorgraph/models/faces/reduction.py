@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
+from logs.transforms import compose
 from planners.kernel import kernel
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
@@ -76,13 +77,10 @@ class RaySample:
 
     def rays(self, sensor: RangeSensor, mount: Floats) -> Rays:
         """Return the rays of a laser mounted at `mount` (3,)."""
-        poses = self.poses_of_rays
-        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x = poses[:, 0] + cos * mount[0] - sin * mount[1]
-        y = poses[:, 1] + sin * mount[0] + cos * mount[1]
-        theta = poses[:, 2] + mount[2] + sensor.bearings[self.beams]
+        lasers = compose(self.poses_of_rays, mount)
+        theta = lasers[:, 2] + sensor.bearings[self.beams]
         return Rays(
-            origins=np.stack([x, y], axis=1),
+            origins=np.ascontiguousarray(lasers[:, :2]),  # kernels are compiled for this layout
             directions=np.stack([np.cos(theta), np.sin(theta)], axis=1),
             ranges=self.ranges,
             range_max=sensor.range_max,
@@ -141,10 +139,10 @@ class MapBlocks(Protocol):
         ...
 
 
-def blocks_of(scans: TrainingScans, first: int = 0, size: int = SCANS_PER_BLOCK) -> Iterator[Block]:
+def blocks_of(scans: TrainingScans, size: int = SCANS_PER_BLOCK) -> Iterator[Block]:
     """Divide scans into blocks."""
     for start in range(0, len(scans), size):
-        yield Block(first=first + start, scans=scans.part(slice(start, start + size)))
+        yield Block(first=start, scans=scans.part(slice(start, start + size)))
 
 
 def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
@@ -154,9 +152,7 @@ def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
     ranges = np.ascontiguousarray(scans.ranges, dtype=np.float64)
     if scans.ray_poses is not None:  # each ray is a separate scan; the heading below includes its bearing
         poses, ranges, bearings = scans.ray_poses.reshape(-1, 3), ranges.reshape(-1, 1), np.zeros(1)
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = poses[:, 0] + cos * mount[0] - sin * mount[1], poses[:, 1] + sin * mount[0] + cos * mount[1]
-    theta = poses[:, 2] + mount[2]
+    x, y, theta = np.ascontiguousarray(compose(poses, mount).T)
     if scans.ray_poses is not None:
         theta += np.tile(sensor.bearings, len(scans))
     n = ranges.size
