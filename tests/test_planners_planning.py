@@ -371,6 +371,13 @@ def test_a_start_from_which_a_dubins_car_gets_nowhere_is_refused_with_a_better_o
     assert "\n" not in str(caught.value)
 
 
+def test_views_behind_a_closed_door_are_an_error_of_one_line() -> None:
+    targets = np.array([[3.4, 0.6, 0.0]])
+    start = np.array([0.6, 0.6, 0.0])
+    with pytest.raises(PlanError, match="no path leads to any pose to visit; choose another start"):
+        plan(door_arena(0.3), ROBOT, planner="views", targets=targets, start=start, cell=0.5, headings=4)
+
+
 def test_views_are_all_visited_and_seen_by_the_log() -> None:
     """Each pose asked for is in the log, standing still, however the walls lie between them."""
     targets = np.array([[1.0, 1.0, 0.3], [0.6, 3.4, -2.0], [0.5, 0.6, 3.1], [3.2, 0.9, 1.5]])
