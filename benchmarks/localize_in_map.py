@@ -24,16 +24,14 @@ from benchmarks.arguments import log_of_halves, parser_of
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from planners.types import Bools, Floats, Ints
-from sensorgraph.localization.global_search import find_places, local_view
-from sensorgraph.localization.graph_walls import walls_of_graph
+from sensorgraph.localization.global_search import MIN_POINTS, find_places, local_view
+from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
-from sensorgraph.localization.known_map import known_map
-from sensorgraph.localization.map_settings import MAP_TRACKING
+from sensorgraph.localization.known_map import SeenSpace, known_map
 from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.scans import scan_points
-from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 
 RIGHT_PLACE, RIGHT_TURN = 0.5, 0.26
 """[m, rad] a place nearer to the truth is the right one."""
@@ -86,7 +84,7 @@ def halves(log: Path, work: Path, *, swapped: bool = False, hidden: int = 0) -> 
     covered = np.zeros(len(truth), dtype=np.bool_)
     for k in range(len(truth)):
         own = scans.of(k)
-        if np.isfinite(truth[k, 0]) and own.stop - own.start >= MAP_TRACKING.min_points:
+        if np.isfinite(truth[k, 0]) and own.stop - own.start >= MIN_POINTS:
             found = match(scans.points[own], scans.normals[own], place.surfaces, truth[k])
             covered[k] = found.agreement >= COVERED
     return Halves(

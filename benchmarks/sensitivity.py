@@ -36,6 +36,7 @@ from numba.core.dispatcher import Dispatcher
 
 import sensorgraph.diagnosis.motion
 import sensorgraph.diagnosis.scan
+import sensorgraph.localization
 from benchmarks.arguments import parser_of
 from benchmarks.hidden_effects.case import Spec
 from benchmarks.hidden_effects.entrants.product import run_of
@@ -47,7 +48,6 @@ from planners.types import Floats
 from sensorgraph.diagnosis.motion import settings as motion
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.localization import error_settings, moving_returns, odometry_settings, time_settings
 from sensorgraph.localization import settings as localization
 from sensorgraph.world.robot import parse_robot
 
@@ -58,14 +58,14 @@ SHARE = re.compile(
 """Names of numbers that are below 1 by their nature."""
 NOT_OF_ANSWERS = {"held_out", "observability", "site"}
 """Groups that decide on the gap, on what a run could show, and on runs against a commissioning run."""
+OF_KNOWN_PLACES = {"KnownMapSettings", "GlobalSearchSettings", "MapTrackingSettings"}
+"""Settings of localization in a known place, which no drive here tests."""
 OF_MATHEMATICS = {
     "CHI2_MEDIAN_1", "CHI2_MEDIAN_3", "GOLDEN_RATIO", "SIGMA_OF_MAD", "ROUND_OFF",
 }  # fmt: skip
 """Constants that nobody has tuned."""
 NOT_ASKED = re.compile(r"settings|calibration|\.site_")
 """Modules whose constants no case needs: runs without a reference, and against a commissioning run."""
-LOCALIZATION = (localization, odometry_settings, error_settings, time_settings, moving_returns)
-"""Modules with the settings of localization without a map."""
 OFFICES = ("101",)
 """Offices of `benchmarks.offices` in which a robot follows the walls."""
 N_SCANS = 800
@@ -287,13 +287,14 @@ def main() -> None:
     options = parser.parse_args()
     wanted = [part for part in options.only.split(",") if part]
     scan, motions = sensorgraph.diagnosis.scan, sensorgraph.diagnosis.motion
-    groups = {id(group): group for module in LOCALIZATION for group in vars(module).values()}.values()
+    groups = {id(group): group for group in vars(localization).values()}.values()
     of_localization = [
         s
         for one in groups
-        if type(one).__name__.endswith("Settings")
+        if type(one).__name__.endswith("Settings") and type(one).__name__ not in OF_KNOWN_PLACES
         for s in settings_of("localization", one)
     ]
+    of_localization += constants_of("localization", sensorgraph.localization)
     parts: dict[str, tuple[Sequence[str], list[Setting], Callable[[], Callable[[], list[str]]]]] = {
         "motion": (
             [one.label for one in MOTION_CASES],

@@ -7,12 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sensorgraph.localization.branch_and_bound import MaxPyramid, Modes, SearchWindow
-from sensorgraph.localization.likelihood_field import (
-    LikelihoodField,
-    field_of_points,
-    field_of_segments,
-    points_on,
-)
+from sensorgraph.localization.likelihood_field import LikelihoodField, field_of_points, points_on
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +19,11 @@ def walls(*corners: tuple[float, float]) -> Floats:
 
 L_ROOM = walls((0, 0), (6, 0), (6, 2.5), (3, 2.5), (3, 5), (0, 5))
 """Fits itself in one way only."""
+
+
+def field_of_segments(segments: Floats, *, resolution: float = 0.05, sigma: float = 0.07) -> LikelihoodField:
+    """Return the field of straight surfaces (n, 2, 2) [m, map]."""
+    return field_of_points(points_on(segments, 0.5 * resolution), resolution=resolution, sigma=sigma)
 
 
 def seen_from(points: Floats, pose: tuple[float, float, float]) -> Floats:

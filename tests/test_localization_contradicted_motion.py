@@ -10,8 +10,8 @@ from localization_samples import any_times, looking_about, room_run, seen
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.contradicted_motion import with_motion_of_scans
 from sensorgraph.localization.locate import locate
+from sensorgraph.localization.moving_returns import with_motion_of_scans
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.types import Floats
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensorgraph.localization.clusters import MeanResiduals
 from sensorgraph.localization.covariances import long_run_variance, without_rigid_motion
+from sensorgraph.localization.point_rows import MeanResiduals
 from sensorgraph.localization.surface_errors import SurfaceErrors, surface_errors
 
 RNG = np.random.default_rng(0)

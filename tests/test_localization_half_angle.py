@@ -11,7 +11,7 @@ from conftest import further
 
 from logs.run import Run
 from logs.transforms import wrap
-from sensorgraph.localization.half_angle import heading_factor, with_heading
+from sensorgraph.localization.course import heading_factor, with_heading
 from sensorgraph.localization.locate import locate
 from tests.localization_samples import Floats, any_times, loop_poses, room_run
 

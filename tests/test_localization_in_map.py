@@ -18,14 +18,13 @@ from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import GlobalPlaces, find_places, local_view
-from sensorgraph.localization.graph_walls import walls_of_graph
+from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
-from sensorgraph.localization.known_map import known_map
+from sensorgraph.localization.known_map import SeenSpace, known_map
 from sensorgraph.localization.map_check import best_fit, looks
-from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.scans import scan_points
-from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
+from sensorgraph.localization.settings import GLOBAL_SEARCH, MAP_TRACKING
 from sensorgraph.types import Progress
 
 FREE = shapely.Polygon([wall[:2] for wall in ROOM[:10]], [[wall[:2] for wall in ROOM[10:]]])
@@ -243,7 +242,7 @@ def test_place_that_fits_badly_is_believed_only_where_no_other_comes_near() -> N
     assert min_fit_of(alone) < alone.fit == among_others.fit < min_fit_of(among_others)
     half = replace(alone, hidden=np.array([0.15, 0.1]), agreements=np.array([0.85, 0.5]))
     assert half.lead == pytest.approx(0.25)
-    assert min_fit_of(half) == pytest.approx((min_fit_of(alone) + MAP_TRACKING.found_fit) / 2)
+    assert min_fit_of(half) == pytest.approx((min_fit_of(alone) + GLOBAL_SEARCH.accept_fit) / 2)
     assert min_fit_of(replace(alone, agreements=np.array([0.65, 0.2]))) > 0.35  # no place fits so badly
 
 
@@ -354,8 +353,7 @@ def test_short_drive_that_fits_counts_as_far_as_the_scans_after_it_continue_ther
         [corners, np.roll(corners, -1, axis=0)], axis=1
     )  # the run drives through it after the drive
     right, wrong = known_map(WALLS), known_map(np.concatenate([WALLS, box]))
-    one = replace(MAP_TRACKING, looks=1, look_scans=20)
-    doubted = replace(one, found_fit=1.1)  # no fit is good enough alone
-    assert best_fit(looks(run, one), wrong, one) > one.found_fit
-    assert best_fit(looks(run, doubted), wrong, doubted) < one.near_fit
-    assert best_fit(looks(run, doubted), right, doubted) > one.found_fit
+    one, sure = list(looks(run, 1, 20)), GLOBAL_SEARCH.accept_fit
+    assert best_fit(one, wrong) > sure
+    assert best_fit(one, wrong, sure=1.1) < MAP_TRACKING.near_fit  # no fit is good enough alone
+    assert best_fit(one, right, sure=1.1) > sure

@@ -288,8 +288,7 @@ def test_closures_do_not_depend_on_how_many_fields_are_kept_in_memory() -> None:
     run = room_run(TRUTH)
     scans = scan_points(run)
     tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_ticks)
-    small = replace(CLOSURES, submap=8, core=4)
-    few, many = (LoopCloser(scans, tracked, replace(small, kept_pyramids=n)) for n in (2, 128))
+    few, many = (LoopCloser(scans, tracked, size=8, kept_fields=n) for n in (2, 128))
     kept = [[(one.first, one.second) for one in closer.run(no_ticks).kept] for closer in (few, many)]
     assert kept[0] == kept[1] and kept[0]
     held = [sum("pyramid" in vars(submap) for submap in closer.submaps) for closer in (few, many)]

@@ -12,8 +12,9 @@ from localization_samples import loop_poses, room_run, seen, timed
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.localization.course import direction_of
 from sensorgraph.localization.locate import locate
-from sensorgraph.localization.odometry_check import _direction, check_turns, with_checked_odometry
+from sensorgraph.localization.odometry_check import check_turns, with_checked_odometry
 from sensorgraph.localization.result import WheelParameters
 
 TRUTH = loop_poses(90, laps=1.0)
@@ -83,7 +84,7 @@ def test_direction_is_found_beside_an_unknown_place_of_the_laser() -> None:
         jumped = driven.copy()
         jumped[7] += [2.0, -1.0, 0.7]
         for odometry in (driven, jumped):
-            found = _direction(steps, odometry)
+            found = direction_of(steps, odometry)
             assert found is not None
             assert wrap(found[0] + yaw) == pytest.approx(0.0, abs=0.02)
 

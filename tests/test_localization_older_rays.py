@@ -16,10 +16,9 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.locate import LocatedRun, locate, located_run
+from sensorgraph.localization.older_rays import best_part
 from sensorgraph.localization.ray_times import track_run
-from sensorgraph.localization.sector_matches import best_part
-from sensorgraph.localization.time_settings import RAY_TIMES
-from sensorgraph.localization.turning_pieces import TurningPieces, sweep_basis
+from sensorgraph.localization.turning_pieces import DELAY_SD, TurningPieces, sweep_basis
 from sensorgraph.types import Floats
 
 N_RAYS, RATE, SECONDS, SIGMA = 120, 5.0, 40.0, 0.01
@@ -100,5 +99,5 @@ def test_without_returns_only_the_prior_says_when_rays_were_taken() -> None:
     basis = sweep_basis(N_RAYS)
     found = blind.linearised(run.sensor.ray_delays, motion).estimate(basis)
     np.testing.assert_allclose(found.change, 0.0)
-    np.testing.assert_allclose(found.covariance, RAY_TIMES.delay_sd**2 * np.eye(basis.shape[1]))
+    np.testing.assert_allclose(found.covariance, DELAY_SD**2 * np.eye(basis.shape[1]))
     assert best_part(blind, blind.poses, run.sensor.ray_delays, motion)[1] == 0.0

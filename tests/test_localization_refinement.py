@@ -48,7 +48,7 @@ def test_prior_pulls_wheel_parameters_back_to_wheels_without_error() -> None:
     found = steps.parameters(moved)
     assert found is not None
     off = np.array([found.way_scale - 1.0, found.turn_scale - 1.0, found.heading_bias])
-    sd = np.array([WHEELS.way_scale_sd, WHEELS.turn_scale_sd, WHEELS.heading_bias_sd])
+    sd = np.array([WHEELS.scale_sd, WHEELS.scale_sd, WHEELS.heading_bias_sd])
     assert off[0] == pytest.approx(0.05, abs=0.005)
     np.testing.assert_allclose(steps.at(moved).pull, off / sd**2)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensorgraph.localization.sweep_motion import with_sweep_motion
+from sensorgraph.localization.dead_reckoning import with_sweep_motion
 from tests.localization_samples import Floats
 
 T = 1.0

@@ -1,53 +1,37 @@
 """Estimate the poses of a run from its own scans and wheels, in a known place or in a new one.
 
 `settings`
-    Tuning parameters of mapping, with unit and meaning.
+    What depends on robot, laser or building, with unit and meaning. Constants of an algorithm are in its module.
 `result`
     `Localization`: poses, covariances, status, closures, wheel parameters.
-`odometry`
-    Wheel odometry at the stamps of the scans, or none if it is unusable.
-`scans`
-    Returns of a run as points in base_link, deskewed, with surface normals.
-`line_map`
-    Points in hash buckets, and the line fitted to the points around a position.
-`matching`
-    Match of one scan to a line map: pose, information, inliers, weak direction.
-`wheels`
-    Distance scale, turn scale and heading bias of the odometry.
-`front_end`
-    Laser odometry: each scan is matched to the last key frames.
-`submaps`, `loop_closures`
-    Revisited places: search, tests, rejected closures.
-`pose_graph`
-    Poses that best fit steps and closures; the only module that imports GTSAM.
-`patches`, `refinement`, `wheel_edges`
+`locate`, `kept`
+    Entry point: a known place or a new one; located run, CSV, summary. Locates a file once and keeps the located run next to it.
+`odometry`, `odometry_check`, `course`, `missing_odometry`
+    Wheel odometry at the stamps of the scans, its units, its heading by its course, the ray order of the laser; gaps and jumps.
+`scans`, `robot_parts`
+    Returns of a run as points in base_link, deskewed, with surface normals, and the space that they crossed; those of the robot.
+`line_map`, `matching`
+    Points in hash buckets with the line around a position; match of one scan to them: pose, information, inliers.
+`front_end`, `scan_track`, `wheels`
+    Laser odometry: each scan is matched to the last key frames; its result; scales and heading bias of the odometry.
+`ray_times`, `turning_pieces`, `older_rays`, `bearing_scale`, `scan_lag`
+    Time of each ray, step of the bearings and lag of the scans, from the run itself.
+`contrast`, `moving_returns`
+    Where scans and odometry contradict each other, and which of the two is right.
+`submaps`, `loop_closures`, `pose_graph`
+    Revisited places: search, tests, rejected closures; poses that best fit steps and closures, by GTSAM.
+`patches`, `point_rows`, `refinement`, `wheel_edges`
     Joint refinement of poses and surfaces, with wheel constraints.
-`covariances`
-    Covariances of the poses, from a bootstrap of the residuals.
-`mapping`
-    `map_run`: the whole pipeline for a run in a new place.
-`locate`
-    Entry point: a known place or a new one; located run, CSV, summary.
-`kept`
-    Locates a file once and keeps the located run next to it.
-`odometry_check`, `course`, `half_angle`, `odometry_settings`
-    Checks the units of the odometry, its heading by its course, and the ray order of the laser; their tuning parameters.
-`ray_times`, `older_rays`, `scan_lag`, `time_settings`
-    Time of each ray and lag of the scans, from the run itself; their tuning parameters.
-`in_map`, `map_tracking`
-    A run in a known place: search, track, recover, smooth.
-`graph_walls`
-    Surfaces of a sensorgraph of faces or cells as walls.
-`seen_space`
-    Space that the rays of a sensorgraph's own runs observed.
-`known_map`, `global_search`
-    A known map as lines, fields and ray tests; global search for a view.
+`covariances`, `surface_errors`, `dead_reckoning`
+    Covariances of the poses: from a bootstrap of the residuals, and along directions that scans do not determine.
+`mapping`, `map_states`
+    `map_run`: the whole pipeline for a run in a new place; its maps, and the status of its scans.
+`in_map`, `map_check`, `map_tracking`
+    A run in a known place: first look, search, track, recover, smooth.
+`known_map`, `graph_walls`, `global_search`
+    A known map as lines, fields and ray tests; walls and observed space of a sensorgraph; global search for a view.
+`likelihood_field`, `branch_and_bound`
+    Likelihood of a return at each cell of a map, and the best poses of a scan in it.
 `smoothing`
     All poses at once by a banded Cholesky factor, with covariances.
-`map_settings`
-    Tuning parameters of localization in a known place, with unit and meaning.
-`likelihood_field`
-    Likelihood of a return at each cell of a map.
-`branch_and_bound`
-    Global search for a scan in a likelihood field.
 """

@@ -290,7 +290,5 @@ def _with_room(nodes: _Cells, used: int) -> _Cells:
     if used < nodes.shape[0]:
         return nodes
     more = np.empty((2 * nodes.shape[0], nodes.shape[1]), dtype=np.int32)
-    for i in range(nodes.shape[0]):
-        for j in range(nodes.shape[1]):
-            more[i, j] = nodes[i, j]
+    more[: nodes.shape[0]] = nodes
     return more

@@ -185,11 +185,7 @@ def _way(steps: Floats) -> Floats:
 
 
 def contrast_notes(
-    run: Run,
-    poses: Floats,
-    odometry: Floats | None,
-    status: Sequence[Status],
-    wheels: WheelParameters | None,
+    run: Run, poses: Floats, odometry: Floats | None, status: Sequence[Status], wheels: WheelParameters | None
 ) -> tuple[str, ...]:
     """Return the notes on a located run; none without odometry, and none where it is missing.
 

@@ -12,6 +12,10 @@ the scans measure the factor a, 1 or a unit. The course of the positions is s ph
 | 1 | any | the positions were integrated with a heading in another unit (a is not 1) |
 
 A robot that can drive sideways may have any course, so that the scans must confirm each correction.
+
+Quaternions that do not have half the heading, but all of it (z = sin(yaw), w = cos(yaw)) or a quarter, make a heading that
+turns twice, or half, as fast as the scans. So does one of wheels with a wrong base, but these integrate their positions with the
+heading that they state. Here the positions move another way: the course fits the heading times the factor.
 """
 
 from __future__ import annotations
@@ -22,8 +26,11 @@ import numpy as np
 
 from logs.motion import Motion
 from logs.transforms import compose, invert
+from sensorgraph.localization.settings import N_REWEIGHTED
 from sensorgraph.types import Floats
 
+FACTORS = (0.5, 2.0)
+"""Factors from a heading by wrong quaternions to the true one."""
 MIN_STEP = 0.05
 """[m] Length of the steps whose course is compared, well above the resolution of an odometry."""
 MIN_ALIGNED = 0.9
@@ -38,6 +45,19 @@ MIN_BETTER = 0.5
 """Share of this variance, and of the differences between scans and odometry, that a correction leaves at most."""
 MIN_OFFSET = 0.1
 """Sine of the least angle of a heading to its course that is corrected; less is an error of the mount, or slip."""
+
+MOVING = 0.05
+"""[m, rad] Minimum motion of a step by the scans for a step-by-step comparison ..."""
+MIN_MOVING = 5
+"""... and minimum number of such steps."""
+MAX_RATIO = 3.0
+"""Maximum ratio of such a step between odometry and scans, and its inverse."""
+MIN_ERROR = 0.02
+"""Error of a step, relative to its length, below which it counts fully."""
+MAX_UNEXPLAINED = 0.6
+"""Maximum error of a step, relative to its length, for a comparison of directions."""
+LEVER = 0.3
+"""[m] Standard deviation of the distance of a laser of unknown mount from the robot's centre."""
 
 
 def course_steps(poses: Floats, least: float = MIN_STEP) -> tuple[Floats, Floats]:
@@ -126,17 +146,77 @@ class Steps:
     """(m + 1,) [s]"""
     seen: Floats
     """(m, 3) [m, m, rad] Motion ahead and left in the frame of each pose, and turn."""
-    moving: float
-    """[m] Length of a step that has a direction."""
-    fewest: int
-    """Minimum number of such steps."""
 
     def misfit(self, motion: Motion, turn_factor: float) -> float:
         """Return the mean difference of the directions by odometry and scans, as the chord of unit vectors; 0 if unknown."""
         poses = motion.at(self.stamps) * [1.0, 1.0, turn_factor]
         driven = compose(invert(poses[:-1]), poses[1:])
         a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (self.seen, driven))
-        use = (np.abs(a) > self.moving) & (np.abs(b) > 0)
-        if use.sum() < self.fewest:
+        use = (np.abs(a) > MOVING) & (np.abs(b) > 0)
+        if use.sum() < MIN_MOVING:
             return 0.0
         return float(np.abs(a[use] / np.abs(a[use]) - b[use] / np.abs(b[use])).mean())
+
+
+def heading_factor(poses: Floats) -> float:
+    """Return the factor from the stated heading to that along which the positions move; 1 if none of `FACTORS` explains them.
+
+    Parameters
+    ----------
+    poses : (n, 3) [m, m, rad] Odometry, its heading without jumps of a full turn.
+    """
+    if abs(alignment(poses, 1.0)) > MAX_UNALIGNED:
+        return 1.0
+    return next((factor for factor in FACTORS if abs(alignment(poses, factor)) > MIN_ALIGNED), 1.0)
+
+
+def with_heading(poses: Floats, factor: float) -> Floats:
+    """Return the poses (n, 3) with the heading times a factor, so that the robot drives ahead in most of its steps."""
+    out = poses * [1.0, 1.0, factor]
+    steps, heading = course_steps(out)
+    off = np.arctan2(steps[:, 1], steps[:, 0]) - heading
+    if (np.hypot(*steps.T) * np.cos(off)).sum() < 0:
+        out[:, 2] += np.pi
+    return np.asarray(out)
+
+
+def heading_note(factor: float) -> str:
+    """Return the note on a heading that was corrected by a factor."""
+    rate, has = ("twice", "the whole heading") if factor < 1 else ("half", "a quarter of the heading")
+    return (
+        f"the odometry's heading turns {rate} as fast as the scans and its own course: its quaternions have {has} instead of "
+        "half of it; corrected"
+    )
+
+
+def direction_of(seen: Floats, driven: Floats) -> tuple[float, float] | None:
+    """Return the angle [rad] from the odometry's motion (n, 3) to that of the scans, and its standard error.
+
+    The robot moves by b and turns by θ; its laser, at l with the yaw ψ, moves by a, all in complex numbers:
+
+        a = e^(-iψ) (b + (e^(iθ) - 1) l)
+
+    This is linear in e^(-iψ) and in e^(-iψ) l. The latter has the prior `LEVER`. Errors are relative to the step.
+    None if too few steps move, or if one motion does not explain the other.
+    """
+    a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (seen, driven))
+    use = (np.abs(a) > MOVING) & (np.abs(b) > 0)
+    if use.any():
+        ratio = np.log(np.abs(b[use]) / np.abs(a[use]))
+        use[use] = np.abs(ratio - np.median(ratio)) < np.log(MAX_RATIO)  # no jumps of the odometry
+    if use.sum() < MIN_MOVING:
+        return None
+    length = np.abs(a[use])
+    rows = np.column_stack([b[use], np.exp(1j * driven[use, 2]) - 1.0]) / length[:, None]
+    prior, wanted = np.array([[0.0, MIN_ERROR / LEVER]]), a[use] / length
+    size = np.full(len(rows), MIN_ERROR)
+    for _ in range(N_REWEIGHTED):  # least absolute deviations
+        scale = np.sqrt(MIN_ERROR / np.maximum(size, MIN_ERROR))
+        design = np.vstack([rows * scale[:, None], prior])
+        found = np.linalg.lstsq(design, np.append(wanted * scale, 0.0))[0]
+        size = np.abs(wanted - rows @ found)
+    sigma = max(float(np.median(size)) / 1.177, MIN_ERROR)  # per component, by Rayleigh's distribution
+    if sigma > MAX_UNEXPLAINED:
+        return None
+    variance = sigma**2 * np.linalg.pinv(design.conj().T @ design).real[0, 0]
+    return float(np.angle(found[0])), float(np.sqrt(variance) / max(abs(found[0]), 1e-9))

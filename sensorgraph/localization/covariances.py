@@ -20,12 +20,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.localization.error_settings import SURFACE_ERRORS
 from sensorgraph.localization.refinement import ReducedSystem, Refined, conjugate_gradients, sums_of
-from sensorgraph.localization.settings import REFINEMENT, SIGNIFICANT
+from sensorgraph.localization.settings import SIGNIFICANT
 from sensorgraph.localization.surface_errors import SurfaceErrors, map_surface_errors, right_hand_sides
 from sensorgraph.types import Floats, Ints
 
+SAMPLES = 48
+"""Number of bootstrap samples; the relative error of a standard deviation is about 1 / sqrt(2 · SAMPLES)."""
+MAX_LAG = 12
+"""[steps] Longest lag of the autocorrelation of the wheels."""
 OPEN = 1e-3
 """Weight of a direction that scans do not determine, in the choice of the frame of a map."""
 TURN_LENGTH = 0.1
@@ -52,20 +55,18 @@ def key_frame_covariances(
     system = refined.system
     n = system.n_frames
     errors = map_surface_errors(system, refined.preconditioner, rng)
-    draws, wheel_draws = bootstrap_scores(system, errors, rng, REFINEMENT.samples)
-    samples, _ = conjugate_gradients(
-        system, draws, refined.preconditioner, REFINEMENT.tolerance, REFINEMENT.max_steps
-    )
+    draws, wheel_draws = bootstrap_scores(system, errors, rng, SAMPLES)
+    samples, _ = conjugate_gradients(system, draws, refined.preconditioner)
     parameters = system.wheel_inverse @ (wheel_draws - system.wheel_coupling.T @ samples)
     deviations = np.concatenate([samples.reshape(n, 3, -1), refined.last_step[:, :, None]], axis=2)
-    seen = system.projections
+    seen = system.rows.projections
     for number in np.unique(maps):
         own = maps == number
         counted = None if seen is None else seen[own]
         deviations[own] = without_rigid_motion(deviations[own], refined.poses[own], counted)
     drawn, step = deviations[:, :, :-1], deviations[:, :, -1]
     unsettled = np.einsum("fi,fj->fij", step, step)
-    covariances = np.einsum("fim,fjm->fij", drawn, drawn) / REFINEMENT.samples
+    covariances = np.einsum("fim,fjm->fij", drawn, drawn) / SAMPLES
     alone = np.linalg.inv(system.blocks + _diagonal(system) + 1e-9 * np.eye(3))
     values, vectors = np.linalg.eigh(covariances - alone)
     shared = np.einsum("fij,fj,fkj->fik", vectors, np.maximum(values, 0.0), vectors)
@@ -74,15 +75,12 @@ def key_frame_covariances(
 
 def _diagonal(system: ReducedSystem) -> Floats:
     """Return the diagonal blocks (n_frames, 3, 3) of the wheel information."""
-    n = system.n_frames
-    diagonals = np.zeros((n, 3, 3))
-    for offset in range(-2, 3):
-        values = system.wheels.diagonal(offset)
-        rows = np.arange(len(values)) + max(-offset, 0)
-        columns = rows + offset
-        same = rows // 3 == columns // 3
-        diagonals[rows[same] // 3, rows[same] % 3, columns[same] % 3] = values[same]
-    return diagonals
+    blocks = system.wheels.tobsr((3, 3))
+    row = np.repeat(np.arange(system.n_frames), np.diff(blocks.indptr))
+    out = np.zeros((system.n_frames, 3, 3))
+    is_own = row == blocks.indices
+    out[row[is_own]] = blocks.data[is_own]
+    return out
 
 
 def bootstrap_scores(
@@ -118,7 +116,7 @@ def long_run_variance(steps: Floats) -> Floats:
     The estimate is 1 + 2 sum_l (1 - l / (L + 1)) r_l with the autocorrelations r_l up to lag L (Newey and West 1987).
     """
     out = np.ones(steps.shape[1])
-    last = min(SURFACE_ERRORS.max_lag, len(steps) // 4)
+    last = min(MAX_LAG, len(steps) // 4)
     clipped = np.clip(steps, -SIGNIFICANT, SIGNIFICANT)
     clipped = clipped - clipped.mean(axis=0, keepdims=True) if len(steps) else clipped
     square = (clipped**2).sum(axis=0)

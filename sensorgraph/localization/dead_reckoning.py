@@ -9,6 +9,10 @@ parameters p, gives
 A stretch of such key frames is a random walk: free at both ends its deviations are from its mean; at an end where a key frame
 determines all directions, they are from there; between two such ends, they are those of a bridge. The joint refinement
 linearises at directions of surfaces that are not exact, which let a long motion along them cross them: it states too little.
+
+The same holds for the motion during a slow sweep without odometry. A pose is that at the first ray; the scans determine where a
+sweep was as a whole. If their velocities before and after differ by d, the velocity during a sweep of the duration T is uncertain
+by d, and the pose at its first ray, T / 2 from its middle, by d T / 2.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.map_states import open_directions
 from sensorgraph.localization.refinement import Refined
 from sensorgraph.localization.result import WheelParameters, true_intervals
@@ -37,7 +42,7 @@ def with_dead_reckoning(
     wheels : Wheel parameters with their standard errors; None: no odometry.
     """
     keys, out, edges = tracked.key_frames, covariances.copy(), refined.system.edges
-    directions = open_directions(refined.system.projections, len(keys))
+    directions = open_directions(refined.system.rows.projections, len(keys))
     is_open: Bools = np.asarray(directions.any(axis=1))
     if not is_open.any():
         return out
@@ -55,12 +60,9 @@ def with_dead_reckoning(
         toward = np.vstack([way, way[-1:]])[begin - start : end - start]
         walk = _walk(number[begin:end], toward, refined.poses[begin - 1 : end - 1], edges)
         variances[start:stop] = _variances(*walk, _deviations(wheels), is_held)
-    n = len(tracked.poses)
-    left = np.clip(np.searchsorted(keys, np.arange(n), side="right") - 1, 0, None)
-    right = np.minimum(left + 1, len(keys) - 1)
-    nearest = np.where(
-        is_open[left], left, np.where(tracked.piece[left] == tracked.piece[right], right, left)
-    )
+    left, right, _ = tracked.between_key_frames()
+    is_whole = tracked.piece[left] == tracked.piece[right]
+    nearest = np.where(is_open[left] | ~is_whole, left, right)
     v = directions[nearest]
     square = np.maximum((v**2).sum(axis=1), 1e-12)
     stated = np.einsum("ni,nij,nj->n", v, out, v) / square**2  # of the motion along v
@@ -133,3 +135,26 @@ def _deviations(wheels: WheelParameters | None) -> Floats:
         return np.zeros(3)
     found = np.array([wheels.way_scale_sd, wheels.turn_scale_sd, wheels.heading_bias_sd])
     return np.where(np.isfinite(found), found, 0.0)
+
+
+def with_sweep_motion(covariances: Floats, stamps: Floats, poses: Floats, duration: float) -> Floats:
+    """Return the covariances (n_scans, 3, 3) of x, y, phi in map with those of the unknown motion during a sweep.
+
+    Parameters
+    ----------
+    stamps, poses : (n_scans,) [s], (n_scans, 3) [m, m, rad]
+    duration : [s] Of a sweep.
+    """
+    if duration <= 0.0 or len(poses) < 3:
+        return covariances
+    took = np.diff(stamps)
+    steps = compose(invert(poses[:-1]), poses[1:])
+    steps[:, 2] = wrap(steps[:, 2])
+    steps[took > 0] /= took[took > 0, None]
+    steps[took <= 0] = 0.0
+    change = np.zeros_like(poses)
+    change[1:-1] = np.abs(np.diff(steps, axis=0))
+    change[0], change[-1] = change[1], change[-2]
+    turn = turn_matrices(poses[:, 2])
+    square = (0.5 * duration * change) ** 2
+    return np.asarray(covariances + (turn * square[:, None, :]) @ turn.transpose(0, 2, 1))

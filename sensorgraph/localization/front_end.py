@@ -15,35 +15,47 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.crossed_space import contradicts
-from sensorgraph.localization.line_map import line_map, thinned
-from sensorgraph.localization.matching import Match, match
+from sensorgraph.localization.line_map import LineMap, line_map, thinned
+from sensorgraph.localization.matching import CORRELATION, Match, match
 from sensorgraph.localization.scan_track import (
     ScanTrack,
+    TrackerState,
     determines_all,
     information_at,
     is_covered,
     points_in,
     turn_matrices,
 )
-from sensorgraph.localization.scans import ScanPoints, scan_points
-from sensorgraph.localization.settings import EDGE_FLOOR, FRONT_END, MATCH, FrontEndSettings
-from sensorgraph.localization.tracker_state import TrackerState
+from sensorgraph.localization.scans import ScanPoints, contradicts, scan_points
+from sensorgraph.localization.settings import EDGE_FLOOR, FRONT_END, MATCH, WHEELS
 from sensorgraph.localization.wheels import WheelEstimate
 from sensorgraph.types import Floats, Progress
+
+WINDOW = 40
+"""Number of recent key frames in the map to match against."""
+STILL = (0.02, 0.01)
+"""[m], [rad] Motion below which a scan is placed by the odometry instead of a match ..."""
+STILL_TIME = 0.5
+"""[s] ... up to this time after the last match."""
+MIN_SHARE_ELSEWHERE, MIN_SHARE_AFTER_FAILURE = 0.85, 0.5
+"""Minimum agreement, relative to the usual one, of a match from another start, as many poses fit a room partly, and of one near
+the prediction after scans without a match."""
+AGREEMENT_RATE = 0.05
+"""Weight of a new match in the usual agreement."""
+START_TURNS, START_OFFSETS = (0.0, -0.1, 0.1, -0.21, 0.21), (0.0, -0.25, 0.25)
+"""[rad], [m] Offsets of the other starts, in heading, and along or across."""
+PATIENCE_SCANS = 5
+"""Minimum number of scans without a match before a new track segment begins."""
 
 
 class Tracker:
     """Tracks scans one after the other; one class, since each step reads and changes the same state."""
 
     def __init__(
-        self,
-        scans: ScanPoints,
-        stamps: Floats,
-        odometry: Floats | None,
-        settings: FrontEndSettings = FRONT_END,
+        self, scans: ScanPoints, stamps: Floats, odometry: Floats | None, spacing: float = 1.0
     ) -> None:
-        self.scans, self.stamps, self.odometry, self.settings = scans, stamps, odometry, settings
+        self.scans, self.stamps, self.odometry = scans, stamps, odometry
+        self.apart = spacing * FRONT_END.key_frame_distance, spacing * FRONT_END.key_frame_turn
         self.matching = MATCH.for_spacing(scans.spacing)
         intervals = np.diff(stamps)
         ahead = intervals[intervals > 0]
@@ -78,7 +90,7 @@ class Tracker:
         )
 
     def _place(self, k: int) -> None:
-        state, s = self.state, self.settings
+        state = self.state
         if not state.key_frames:
             if not is_covered(self.scans, k):
                 self._add_key_frame(k)
@@ -88,22 +100,22 @@ class Tracker:
         predicted, deviations = self._predict(k, state.last_matched)
         if deviations is None:
             state.jumps.append(k)
-        if self._is_unknown(k) and not self._has_stayed(k, s.key_frame_distance, s.key_frame_turn):
+        if self._is_unknown(k) and not self._has_stayed(k, *self.apart):
             self.poses[k], self.matched[k], self.is_continuous[k] = predicted, True, False
             self._begin_piece(k)
             return
         moved = compose(invert(self.poses[state.last_matched]), predicted)
         since = self.stamps[k] - self.stamps[state.last_matched]
-        is_still = np.hypot(moved[0], moved[1]) < s.still_distance and abs(moved[2]) < s.still_turn
-        is_known = self.odometry is not None and since < s.still_time and deviations is not None
-        if is_still and is_known and self._has_stayed(k, s.still_distance, s.still_turn):
+        is_still = np.hypot(moved[0], moved[1]) < STILL[0] and abs(moved[2]) < STILL[1]
+        is_known = self.odometry is not None and since < STILL_TIME and deviations is not None
+        if is_still and is_known and self._has_stayed(k, *STILL):
             self.poses[k], self.matched[k] = predicted, self.matched[k - 1]
             return
         found = self._match(k, predicted, deviations)
         self.matched[k] = found is not None
         if found is not None:
             state.agreement = found.agreement
-            state.usual_agreement += self.settings.agreement_rate * (found.agreement - state.usual_agreement)
+            state.usual_agreement += AGREEMENT_RATE * (found.agreement - state.usual_agreement)
         self.poses[k] = predicted if found is None else found.pose
         if found is None:
             self._handle_failure(k)
@@ -116,7 +128,7 @@ class Tracker:
         state.failures.clear()
         state.last_unmatched = None
         step = compose(invert(self.poses[state.key_frames[-1]]), found.pose)
-        if np.hypot(step[0], step[1]) > s.key_frame_distance or abs(step[2]) > s.key_frame_turn:
+        if np.hypot(step[0], step[1]) > self.apart[0] or abs(step[2]) > self.apart[1]:
             self._update_wheels(k, step, found)
             self._add_key_frame(k, found)
 
@@ -134,13 +146,13 @@ class Tracker:
         state = self.state
         dt = max(float(self.stamps[k] - self.stamps[last]), 0.0)
         if self.odometry is None or state.wheels is None:
-            s = self.settings
+            s = FRONT_END
             deviations = np.array([s.speed_sd, s.speed_sd, s.turn_rate_sd]) * dt + 0.01
             return compose(self.poses[last], state.velocity * dt), deviations
         step = compose(invert(self.odometry[last]), self.odometry[k])
-        way, limits = float(np.hypot(step[0], step[1])), state.wheels.settings
+        way = float(np.hypot(step[0], step[1]))
         took = max(dt, self.interval)
-        if way > limits.max_speed * took + 0.1 or abs(step[2]) > limits.max_turn_rate * took + 0.2:
+        if way > WHEELS.max_speed * took + 0.1 or abs(step[2]) > WHEELS.max_turn_rate * took + 0.2:
             return compose(self.poses[last], state.velocity * dt), None
         corrected = state.wheels.corrected(step)
         deviations = state.wheels.deviations(way, float(corrected[2]))
@@ -148,22 +160,16 @@ class Tracker:
 
     def _match(self, k: int, predicted: Floats, deviations: Floats | None) -> Match | None:
         """Return the best match, or None if none is good enough."""
-        s = self.settings
-        assert self.state.surfaces is not None
         if is_covered(self.scans, k):
             return None
-        points, normals = self.scans.points[self.scans.of(k)], self.scans.normals[self.scans.of(k)]
-        prior = None if deviations is None else information_at(predicted, deviations)
-        first = match(
-            points, normals, self.state.surfaces, predicted, prior_information=prior, settings=self.matching
-        )
-        is_other = first.agreement < s.min_continuity * self.state.agreement or self._has_slipped(
+        first = self._match_from(k, predicted, deviations)
+        is_other = first.agreement < FRONT_END.min_continuity * self.state.agreement or self._has_slipped(
             first, predicted, deviations
         )
-        is_good = self._is_good(first, s.min_share_after_failure if self.state.failures else 0.0)
+        is_good = self._is_good(first, MIN_SHARE_AFTER_FAILURE if self.state.failures else 0.0)
         found: Match | None = first if is_good else None
         if is_other or not is_good:  # the robot may have been carried
-            found = self._other_starts(points, normals, predicted, first) or found
+            found = self._other_starts(k, predicted, first) or found
         if (
             found is not None
             and self._has_slipped(found, predicted, deviations)
@@ -180,7 +186,7 @@ class Tracker:
         if deviations is None:
             return False
         off = compose(invert(predicted), found.pose)
-        return bool((np.abs(off) > self.settings.most_slip(deviations)).any())
+        return bool((np.abs(off) > FRONT_END.most_slip(deviations)).any())
 
     def _contradicts(self, k: int, predicted: Floats) -> bool:
         """Tell whether scan k at its predicted pose contradicts the recent key frames."""
@@ -189,39 +195,37 @@ class Tracker:
         recent = self._recent_key_frames()
         return contradicts(self.scans, k, predicted, state.surfaces.points, recent, self.poses[recent])
 
-    def _other_starts(self, points: Floats, normals: Floats, predicted: Floats, first: Match) -> Match | None:
+    def _other_starts(self, k: int, predicted: Floats, first: Match) -> Match | None:
         """Return the best match from starts around the prediction and around the last pose."""
-        s, best = self.settings, first
-        assert self.state.surfaces is not None
+        best = first
         last = self.poses[self.state.last_matched]
-        offsets = [(a, b) for a in s.start_offsets for b in s.start_offsets if a == 0 or b == 0]
+        offsets = [(a, b) for a in START_OFFSETS for b in START_OFFSETS if a == 0 or b == 0]
         for base in (predicted, last):
-            for turn in s.start_turns:
+            for turn in START_TURNS:
                 for offset in offsets:
-                    start = compose(base, np.array([*offset, turn]))
-                    found = match(points, normals, self.state.surfaces, start, settings=self.matching)
+                    found = self._match_from(k, compose(base, np.array([*offset, turn])))
                     if found.agreement > best.agreement:
                         best = found
-            if self._is_good(best, s.min_share_elsewhere):
+            if self._is_good(best, MIN_SHARE_ELSEWHERE):
                 return best
-        return best if self._is_good(best, s.min_share_elsewhere) else None
+        return best if self._is_good(best, MIN_SHARE_ELSEWHERE) else None
 
     def _is_good(self, found: Match, share: float) -> bool:
         """Tell whether enough points fit, in total and as a share of the usual agreement."""
-        s = self.settings
+        s = FRONT_END
         is_usual = found.agreement >= share * self.state.usual_agreement
         return found.inliers >= s.min_inliers and found.overlap >= s.min_overlap and is_usual
 
     def _edge(self, k: int, found: Match | None) -> tuple[Floats, Floats]:
         """Return the information (3, 3) of key frame k's pose in the frame of the last one, and the standard deviations
         (3,) of this motion without the scans."""
-        s, key = self.settings, self.state.key_frames[-1]
+        key = self.state.key_frames[-1]
         deviations = self._predict(k, key)[1] if self._is_odometry_whole(key, k) else None
         if deviations is None:
             deviations = self._unknown_motion(key, k)
         information = information_at(self.poses[k], deviations)
         if found is not None:
-            information = information + found.information / s.correlation
+            information = information + found.information / CORRELATION
         floor = np.diag(np.square(EDGE_FLOOR))
         turn = turn_matrices(-self.poses[key, 2])
         covariance = turn @ (np.linalg.inv(information) + floor) @ turn.T
@@ -232,7 +236,7 @@ class Tracker:
 
         The speed is unknown and persists since `determined_at`: the deviation from there is proportional to time.
         """
-        s, start = self.settings, self.state.determined_at
+        s, start = FRONT_END, self.state.determined_at
         since, before = self.stamps[last] - start, self.stamps[first] - start
         dt = float(np.sqrt(max(since**2 - before**2, 0.0)))
         return dt * np.array([s.speed_sd, s.speed_sd, s.turn_rate_sd]) + 0.01
@@ -250,13 +254,8 @@ class Tracker:
             state.wheels.learn(compose(invert(self.odometry[last]), self.odometry[k]), step)
 
     def _add_key_frame(self, k: int, found: Match | None = None) -> None:
-        """Add scan k to the map.
-
-        Parameters
-        ----------
-        found : Its match to the map; None: a new track segment begins.
-        """
-        state, s = self.state, self.settings
+        """Add scan k, with its match to the map, as key frame; without a match, a new track segment begins."""
+        state, s = self.state, FRONT_END
         is_new = bool(state.key_frames) and (found is None or self._is_apart(k, found))
         if state.key_frames:
             edge, deviations = self._edge(k, None if is_new else found)
@@ -273,43 +272,43 @@ class Tracker:
             *thinned(*points_in(self.scans, recent, self.poses[recent])), side=self.matching.first_radius
         )
         if found is None:  # the scan determines what a match to its own surfaces determines
-            found = self._match_alone(k, self.poses[k])
+            found = self._match_from(k, self.poses[k])
         turn = turn_matrices(self.poses[k, 2])
         state.projections.append(turn.T @ found.projection @ turn)
         if determines_all(found.projection) or len(recent) == 1:
             state.determined_at = float(self.stamps[k])
 
     def _recent_key_frames(self) -> list[int]:
-        """Return the last key frames of the present track segment, at most `window`."""
+        """Return the last key frames of the present track segment, at most `WINDOW`."""
         piece = self.state.piece
-        return self.state.key_frames[-sum(p == piece[-1] for p in piece[-self.settings.window :]) :]
+        return self.state.key_frames[-sum(p == piece[-1] for p in piece[-WINDOW:]) :]
 
     def _is_apart(self, k: int, found: Match) -> bool:
         """Tell whether scan k ends a stretch whose length is not known, as after a corridor without odometry."""
         key = self.state.key_frames[-1]
         if determines_all(self.state.projections[-1]) or not determines_all(found.projection):
             return False
-        unknown = self.settings.speed_sd * (self.stamps[k] - self.state.determined_at)
-        return not self._is_odometry_whole(key, k) and bool(unknown > self.settings.unknown_motion[0])
+        unknown = FRONT_END.speed_sd * (self.stamps[k] - self.state.determined_at)
+        return not self._is_odometry_whole(key, k) and bool(unknown > FRONT_END.unknown_motion[0])
 
     def _is_carried(self, k: int, deviations: Floats) -> bool:
         """Tell whether the odometry carries the pose to scan k: it is accurate enough, and the robot drove.
 
         If the view changes while the wheels stand, somebody may have carried the robot.
         """
-        s, key, last = self.settings, self.state.key_frames[-1], self.state.last_matched
+        s, key, last = FRONT_END, self.state.key_frames[-1], self.state.last_matched
         if self.odometry is None or not self._is_odometry_whole(key, k):
             return False
         changes = [one for one in self.state.failures if not self.is_continuous[one]]
         then = changes[-1] if changes else k
         moved = compose(invert(self.odometry[last]), self.odometry[then])
-        still = max(self.stamps[then] - self.stamps[last], self.interval) / s.still_time
-        drove = np.hypot(*moved[:2]) > s.still_distance * still or abs(moved[2]) > s.still_turn * still
+        still = max(self.stamps[then] - self.stamps[last], self.interval) / STILL_TIME
+        drove = np.hypot(*moved[:2]) > STILL[0] * still or abs(moved[2]) > STILL[1] * still
         return bool(drove and (deviations < s.unknown_motion).all())
 
     def _handle_failure(self, k: int) -> None:
         """Wait for a match, or begin a new track segment."""
-        state, s = self.state, self.settings
+        state, s = self.state, FRONT_END
         if not state.failures:  # later scans were placed by the wheels, assuming standstill
             self.matched[state.last_matched + 1 : k] = False
         if not is_covered(self.scans, k):
@@ -318,29 +317,39 @@ class Tracker:
         first = state.failures[0]
         moved = self.poses[k, :2] - self.poses[first, :2]
         is_long = self.stamps[k] - self.stamps[first] > s.patience or np.hypot(*moved) > s.patience_distance
-        if len(state.failures) >= s.patience_scans and is_long and not is_covered(self.scans, k):
+        if len(state.failures) >= PATIENCE_SCANS and is_long and not is_covered(self.scans, k):
             self._begin_piece(k)
 
     def _is_unknown(self, k: int) -> bool:
         """Tell whether scan k follows a pause without returns or scans, during which nothing measured the motion."""
-        s, last = self.settings, self.state.last_matched
+        s, last = FRONT_END, self.state.last_matched
         pause = self.stamps[k] - self.stamps[last]
-        is_long = pause > max(s.patience, s.patience_scans * self.interval)
+        is_long = pause > max(s.patience, PATIENCE_SCANS * self.interval)
         return bool(is_long and not self._is_odometry_whole(last, k) and not is_covered(self.scans, k))
 
     def _has_stayed(self, k: int, distance: float, turn: float) -> bool:
         """Tell whether scan k shows the view of the last matched scan, from within a distance [m] and a turn [rad]."""
         last = self.poses[self.state.last_matched]
-        found = self._match_alone(k, last)
+        found = self._match_from(k, last)
         moved = compose(invert(last), found.pose)
         is_near = np.hypot(moved[0], moved[1]) < distance and abs(moved[2]) < turn
-        return bool(is_near and found.agreement >= self.settings.min_continuity * self.state.agreement)
+        return bool(is_near and found.agreement >= FRONT_END.min_continuity * self.state.agreement)
 
-    def _match_alone(self, k: int, start: Floats) -> Match:
-        """Match scan k from a start pose (3,), without a prior."""
-        own, surfaces = self.scans.of(k), self.state.surfaces
+    def _match_from(
+        self, k: int, start: Floats, deviations: Floats | None = None, surfaces: LineMap | None = None
+    ) -> Match:
+        """Match scan k from a start pose (3,), which is a prior with `deviations` (3,), to the key frames or other surfaces."""
+        own, surfaces = self.scans.of(k), surfaces or self.state.surfaces
         assert surfaces is not None
-        return match(self.scans.points[own], self.scans.normals[own], surfaces, start, settings=self.matching)
+        prior = None if deviations is None else information_at(start, deviations)
+        return match(
+            self.scans.points[own],
+            self.scans.normals[own],
+            surfaces,
+            start,
+            prior_information=prior,
+            settings=self.matching,
+        )
 
     def _begin_piece(self, k: int) -> None:
         """Begin a new track segment with scan k."""
@@ -353,16 +362,11 @@ class Tracker:
 
     def _match_unplaced(self, k: int) -> None:
         """Place an unmatched scan k by a match with the previous unmatched scan."""
-        state, own = self.state, self.scans.of(k)
-        points, normals = self.scans.points[own], self.scans.normals[own]
+        state = self.state
         if state.last_unmatched is not None:
             last, surfaces = state.last_unmatched
-            predicted, deviations = self._predict(k, last)
-            prior = None if deviations is None else information_at(predicted, deviations)
-            found = match(
-                points, normals, surfaces, predicted, prior_information=prior, settings=self.matching
-            )
-            self.is_continuous[k] = self._is_good(found, self.settings.min_continuity)
+            found = self._match_from(k, *self._predict(k, last), surfaces)
+            self.is_continuous[k] = self._is_good(found, FRONT_END.min_continuity)
             if self.is_continuous[k]:
                 self.poses[k] = found.pose
         seen = points_in(self.scans, [k], self.poses[[k]])
@@ -370,11 +374,7 @@ class Tracker:
 
 
 def track(
-    scans: ScanPoints,
-    stamps: Floats,
-    odometry: Floats | None,
-    progress: Progress,
-    settings: FrontEndSettings = FRONT_END,
+    scans: ScanPoints, stamps: Floats, odometry: Floats | None, progress: Progress, spacing: float = 1.0
 ) -> ScanTrack:
     """Track all scans.
 
@@ -382,8 +382,9 @@ def track(
     ----------
     stamps : (n_scans,) [s]
     odometry : (n_scans, 3) [m, m, rad] Odometry at the scans; None: the scans alone.
+    spacing : Distance and turn between key frames, relative to those of `FRONT_END`.
     """
-    return Tracker(scans, stamps, odometry, settings).run(progress)
+    return Tracker(scans, stamps, odometry, spacing).run(progress)
 
 
 def track_part(run: Run, part: slice, motion: Motion | None = None) -> tuple[ScanPoints, ScanTrack]:

@@ -9,10 +9,49 @@ import numpy as np
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.known_map import KnownMap
-from sensorgraph.localization.map_settings import GLOBAL_SEARCH, GlobalSearchSettings
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.settings import GLOBAL_SEARCH
 from sensorgraph.types import Floats, Ints
+
+POINTS = 160
+"""Maximum number of points of a view; a quick search finds places with half of them, and evaluates these with all."""
+MIN_POINTS = 25
+"""Minimum number of points of a view or of a scan to be matched, and lower limit of the number taken from each scan of a view."""
+HEADING_STEP = 0.0175
+"""[rad] Step between headings."""
+MIN_SCORE = 0.25
+"""Minimum mean of the field at the points."""
+RESTART_OFFSET = 0.25
+"""[m] Offset along x and y of matches that start again: the field has one place within `APART`, but close walls can hold a match
+at several poses."""
+MIN_JOINT_FIT = 0.25
+"""Minimum fit of all scans at a place that the last scan alone fits: the map may lack what the other scans observed, but they
+must not contradict the place."""
+APART = (0.5, 0.26)
+"""[m], [rad] Distance and heading difference below which two places are the same."""
+CORRELATION = 4.0
+"""Factor by which the log likelihood of a view is divided, since its rays meet the same surfaces."""
+RIVAL_MARGIN = 0.05
+"""Standard error of a fit: for a share of 0.85 of `POINTS` / `CORRELATION` points."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How many places a search evaluates."""
+
+    rival_ratio: float
+    """Share of the best field score down to which places are evaluated with the beam model."""
+    modes: int
+    """Maximum number of places that are evaluated."""
+    matches: int
+    """Number of the best places that are matched and evaluated again."""
+    restarts: int
+    """Number of the best matches around which matches start again."""
+
+
+FULL = Effort(rival_ratio=0.6, modes=120, matches=40, restarts=5)
+QUICK = Effort(rival_ratio=0.85, modes=12, matches=12, restarts=2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,9 +117,7 @@ class GlobalPlaces:
         one opened door, or leave the map, are one deviation, not many.
         """
         fits = self.fits
-        can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (
-            fits >= fits[:1] - GLOBAL_SEARCH.rival_margin
-        )
+        can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (fits >= fits[:1] - RIVAL_MARGIN)
         return self.poses[1:][can_be[1:]]
 
 
@@ -103,9 +140,7 @@ def _fits(agreements: Floats, hidden: Floats, unseen: Floats, min_seen: float) -
     return np.array([fit_of(*of_place, min_seen) for of_place in shares])
 
 
-def local_view(
-    scans: ScanPoints, chosen: Ints, poses: Floats, settings: GlobalSearchSettings = GLOBAL_SEARCH
-) -> LocalView:
+def local_view(scans: ScanPoints, chosen: Ints, poses: Floats) -> LocalView:
     """Join scans into a view in the frame of the last one, and thin it.
 
     Parameters
@@ -113,8 +148,8 @@ def local_view(
     chosen : (n,) Scans.
     poses : (n, 3) Their poses in one frame, accurate relative to each other.
     """
-    last = None if len(chosen) == 1 else local_view(scans, chosen[-1:], poses[-1:], settings)
-    most = max(settings.points // len(chosen), settings.min_points)
+    last = None if len(chosen) == 1 else local_view(scans, chosen[-1:], poses[-1:])
+    most = max(POINTS // len(chosen), MIN_POINTS)
     parts: tuple[list[Floats], list[Floats], list[Floats]] = ([], [], [])
     for scan, (x, y, phi) in zip(chosen, compose(invert(poses[-1]), poses), strict=True):
         own = np.arange(scans.first[scan], scans.first[scan + 1])
@@ -132,49 +167,34 @@ def evenly(n: int, most: int) -> Ints:
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
 
-def find_places(
-    view: LocalView,
-    place: KnownMap,
-    *,
-    window: SearchWindow | None = None,
-    settings: GlobalSearchSettings = GLOBAL_SEARCH,
-) -> GlobalPlaces:
+def find_places(view: LocalView, place: KnownMap, *, window: SearchWindow | None = None) -> GlobalPlaces:
     """Return the possible places of a view in a window (None: the whole map); empty if it fits nowhere.
 
     The search uses the last scan first, and all scans together evaluate the places found. Since the map may
     lack what the other scans observed, it suffices that the last scan alone fits the most probable place. If
     neither fits, the search uses all scans together.
     """
-    s = settings
-    last, seen = view.last_scan, s.min_seen_anywhere if window is None else s.min_seen
-    found = _judged(_modes(last.points, place, window, s), view, place, seen, s)
+    s, last = GLOBAL_SEARCH, view.last_scan
+    seen = s.min_seen_anywhere if window is None else s.min_seen
+    found = _judged(_modes(last.points, place, window), view, place, seen)
     if found.fit >= s.accept_fit or view.last is None:
         return found
-    found = _with_last_fit(found, last, place, s)
+    found = _with_last_fit(found, last, place)
     if found.fit >= s.accept_fit:
         return found
-    other = _judged(_modes(view.points, place, window, s), view, place, seen, s)
-    other = _with_last_fit(other, last, place, s)
+    other = _judged(_modes(view.points, place, window), view, place, seen)
+    other = _with_last_fit(other, last, place)
     return other if other.fit > found.fit else found
 
 
-def joint_fit(
-    view: LocalView, place: KnownMap, settings: GlobalSearchSettings = GLOBAL_SEARCH
-) -> tuple[float, Floats]:
+def joint_fit(view: LocalView, place: KnownMap) -> tuple[float, Floats]:
     """Return the best fit of all scans of a view together in the whole map, and its pose (3,).
 
     It is a quick search of few places. Without a place, the fit is 0 and the pose nan.
     """
-    s = settings
-    few = replace(
-        s,
-        max_modes=s.quick_modes,
-        rival_ratio=s.quick_ratio,
-        max_matches=s.quick_modes,
-        max_restarts=s.quick_restarts,
-    )
-    points = view.points[evenly(len(view.points), s.points // 2)]
-    found = _judged(_modes(points, place, None, few), view, place, s.min_seen_anywhere, few)
+    points = view.points[evenly(len(view.points), POINTS // 2)]
+    modes = _modes(points, place, None, QUICK)
+    found = _judged(modes, view, place, GLOBAL_SEARCH.min_seen_anywhere, QUICK)
     return (found.fit, found.poses[found.fits.argmax()]) if len(found.poses) else (0.0, np.full(3, np.nan))
 
 
@@ -185,61 +205,52 @@ def fit_at(view: LocalView, place: KnownMap, pose: Floats) -> float:
     return fit_of(one.agreement, judged.hidden[0], judged.unseen[0])
 
 
-def _with_last_fit(
-    found: GlobalPlaces, last: LocalView, place: KnownMap, settings: GlobalSearchSettings
-) -> GlobalPlaces:
+def _with_last_fit(found: GlobalPlaces, last: LocalView, place: KnownMap) -> GlobalPlaces:
     """Add the fit of the last scan alone, at places that all scans together neither rule out nor contradict."""
     possible = np.vstack([found.poses[:1], found.rivals])
-    if len(possible) == 0 or found.fit < settings.min_joint_fit:
+    if len(possible) == 0 or found.fit < MIN_JOINT_FIT:
         return found
     own = [match(last.points, last.normals, place.surfaces, pose) for pose in possible]
     judged = place.judge(np.array([one.pose for one in own]), last.points, last.starts)
     agreements = np.array([one.agreement for one in own])
     fits = _fits(agreements, judged.hidden, judged.unseen, found.min_seen)
     best = float(fits.max())
-    return found if best < settings.accept_fit else replace(found, last_fit=best)
+    return found if best < GLOBAL_SEARCH.accept_fit else replace(found, last_fit=best)
 
 
-def _modes(
-    points: Floats, place: KnownMap, window: SearchWindow | None, settings: GlobalSearchSettings
-) -> Floats:
+def _modes(points: Floats, place: KnownMap, window: SearchWindow | None, effort: Effort = FULL) -> Floats:
     """Return poses (n, 3) from which points (m, 2) fit the field."""
-    s = settings
-    if len(points) < s.min_points:
+    if len(points) < MIN_POINTS:
         return np.zeros((0, 3))
     return place.pyramid.search(
         points,
         place.window if window is None else window,
-        heading_step=s.heading_step,
-        min_score=s.min_score,
-        max_modes=s.max_modes,
-        rival_ratio=s.rival_ratio,
-        apart=(s.apart, s.apart_turn),
+        heading_step=HEADING_STEP,
+        min_score=MIN_SCORE,
+        max_modes=effort.modes,
+        rival_ratio=effort.rival_ratio,
+        apart=APART,
     ).poses
 
 
 def _judged(
-    modes: Floats, view: LocalView, place: KnownMap, min_seen: float, settings: GlobalSearchSettings
+    modes: Floats, view: LocalView, place: KnownMap, min_seen: float, effort: Effort = FULL
 ) -> GlobalPlaces:
     """Return places near modes (n, 3), evaluated with all rays of a view."""
-    s = settings
     if len(modes) == 0:
         empty = np.zeros(0)
         return GlobalPlaces(poses=modes, probabilities=empty, agreements=empty, hidden=empty, unseen=empty)
     likely = place.judge(modes, view.points, view.starts).likelihoods
-    starts = modes[np.argsort(-likely, kind="stable")[: s.max_matches]]
+    starts = modes[np.argsort(-likely, kind="stable")[: effort.matches]]
     found = [match(view.points, view.normals, place.surfaces, pose) for pose in starts]
     poses = np.array([one.pose for one in found])
     judged = place.judge(poses, view.points, view.starts)
-    first = poses[np.argsort(-judged.likelihoods, kind="stable")[: s.max_restarts]]
-    found += [
-        match(view.points, view.normals, place.surfaces, pose)
-        for pose in _neighbours(first, s.restart_offset)
-    ]
+    first = poses[np.argsort(-judged.likelihoods, kind="stable")[: effort.restarts]]
+    found += [match(view.points, view.normals, place.surfaces, pose) for pose in _neighbours(first)]
     poses = np.array([one.pose for one in found])
     judged = place.judge(poses, view.points, view.starts)
-    scores = judged.likelihoods / s.correlation
-    order = _distinct(poses, scores, s)
+    scores = judged.likelihoods / CORRELATION
+    order = _distinct(poses, scores)
     weights = np.exp(scores[order] - scores[order[0]])
     return GlobalPlaces(
         poses=poses[order],
@@ -251,21 +262,20 @@ def _judged(
     )
 
 
-def _neighbours(poses: Floats, way: float) -> Floats:
-    """Return the eight neighbours of each of poses (n, 3): (8 n, 3)."""
+def _neighbours(poses: Floats) -> Floats:
+    """Return the eight neighbours of each of poses (n, 3), by `RESTART_OFFSET`: (8 n, 3)."""
+    way = RESTART_OFFSET
     steps = np.array([(x, y, 0.0) for x in (-way, 0.0, way) for y in (-way, 0.0, way) if x or y])
     around: Floats = (poses[:, None] + steps).reshape(-1, 3)
     return around
 
 
-def _distinct(poses: Floats, scores: Floats, settings: GlobalSearchSettings) -> Ints:
+def _distinct(poses: Floats, scores: Floats) -> Ints:
     """Return the indices of distinct places, in order of decreasing score."""
     kept: list[int] = []
     for k in np.argsort(-scores, kind="stable"):
         way = poses[kept] - poses[k]
-        is_near = (np.hypot(way[:, 0], way[:, 1]) < settings.apart) & (
-            np.abs(wrap(way[:, 2])) < settings.apart_turn
-        )
+        is_near = (np.hypot(way[:, 0], way[:, 1]) < APART[0]) & (np.abs(wrap(way[:, 2])) < APART[1])
         if not is_near.any():
             kept.append(int(k))
     return np.array(kept, dtype=np.intp)

@@ -1,4 +1,4 @@
-"""Surfaces of a sensorgraph of faces or cells as straight walls."""
+"""Surfaces of a sensorgraph of faces or cells as straight walls, and the space that its rays observed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.localization.known_map import SeenSpace
 from sensorgraph.models.cells.local_lines import N_ANGLES, NO_LINE, OFFSET_STEP
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import RATES, CellTable
@@ -68,3 +69,17 @@ def _cell_walls(table: CellTable) -> tuple[Floats, Floats]:
     ]
     towards = (stopped[0].astype(float) - stopped[1])[:, None] * normal
     return np.stack([middle - half, middle + half], axis=1), towards
+
+
+def seen_by_graph(graph: Sensorgraph) -> SeenSpace | None:
+    """Return the space observed by the runs of a sensorgraph of faces or cells; None for other models."""
+    model = graph.model
+    if isinstance(model, Faces):
+        observed = model.observed
+        cells = np.ascontiguousarray(observed.counts > 0, dtype=np.uint8)
+        return SeenSpace(cells=cells, origin=observed.origin, resolution=observed.cell)
+    if isinstance(model, CellModel):
+        table = model.table
+        cells = np.ascontiguousarray(table.is_seen[table.rows] > 0, dtype=np.uint8)
+        return SeenSpace(cells=cells, origin=np.asarray(table.low, dtype=np.float64), resolution=table.cell)
+    return None

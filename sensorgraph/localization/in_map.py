@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.contradicted_motion import with_motion_of_scans
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.global_search import fit_at, local_view
-from sensorgraph.localization.known_map import KnownMap, known_map
-from sensorgraph.localization.map_check import best_fit, looks, mirrored
-from sensorgraph.localization.map_settings import MAP_TRACKING
-from sensorgraph.localization.map_tracking import MapMatches, MapTrack, MapTracker, rematch
+from sensorgraph.localization.known_map import KnownMap, SeenSpace, known_map
+from sensorgraph.localization.map_check import VIEW_SCANS, best_fit, looks, mirrored
+from sensorgraph.localization.map_tracking import MapMatches, MapTracker, rematch
+from sensorgraph.localization.matching import CORRELATION
+from sensorgraph.localization.moving_returns import with_motion_of_scans
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, interval_notes
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.seen_space import SeenSpace
+from sensorgraph.localization.settings import FRONT_END, GLOBAL_SEARCH, MAP_TRACKING
 from sensorgraph.localization.smoothing import smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
+
+MIRROR_LOOKS = 2
+"""Number of short drives that are searched as seen in a mirror."""
+MIRROR_LEAD = 0.2
+"""Minimum lead of a mirrored fit."""
 
 
 def locate_in_map(
@@ -63,7 +67,7 @@ def locate_in_map(
         found = MapTracker(scans, run.stamps, steps, place).run(tick)
     if np.isnan(found.poses[:, 0]).all():
         fit = _rivals_fit(scans, steps, place, found.rivals)
-        if fit < MAP_TRACKING.found_fit:
+        if fit < GLOBAL_SEARCH.accept_fit:
             raise SensorgraphError(_no_fit(run, place, max(fit, found.best_fit), name))
     poses = _filled(found, steps)
     with progress("smoothing", "scans") as tick:
@@ -92,22 +96,14 @@ def locate_in_map(
 
 
 def _smoothed(
-    poses: Floats,
-    steps: ScanTrack,
-    breaks: Bools,
-    places: Floats,
-    information: Floats,
+    poses: Floats, steps: ScanTrack, breaks: Bools, places: Floats, information: Floats
 ) -> tuple[Floats, Floats]:
     """Return poses and covariances of the whole run."""
     relative, step_information = steps_of(steps, breaks)
     values, vectors = np.linalg.eigh(
         information
     )  # along a wall the information can have a negative eigenvalue
-    weighted = (
-        (vectors * np.maximum(values, 0.0)[:, None, :])
-        @ vectors.transpose(0, 2, 1)
-        / MAP_TRACKING.correlation
-    )
+    weighted = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) / CORRELATION
     result = smooth(poses, relative, step_information, np.where(np.isfinite(places), places, 0.0), weighted)
     return result.poses, result.covariances
 
@@ -141,7 +137,7 @@ def _map_error(matches: MapMatches, own_noise: Floats) -> Floats:
     return np.asarray(variances[:, None, :] * np.eye(3))
 
 
-def _filled(found: MapTrack, steps: ScanTrack) -> Floats:
+def _filled(found: MapTracker, steps: ScanTrack) -> Floats:
     """Return poses (n, 3) for all scans; unknown ones follow by laser odometry from the nearest known one."""
     poses = found.poses.copy()
     if np.isnan(poses[:, 0]).all():
@@ -157,7 +153,7 @@ def _filled(found: MapTrack, steps: ScanTrack) -> Floats:
     return poses
 
 
-def _status(stamps: Floats, information: Floats, found: MapTrack) -> tuple[Status, ...]:
+def _status(stamps: Floats, information: Floats, found: MapTracker) -> tuple[Status, ...]:
     """Return the status of each scan: ok if it fits the map or is close in time to one that does."""
     good = np.flatnonzero(information.any(axis=(1, 2)))
     is_ok = np.zeros(len(stamps), dtype=np.bool_)
@@ -165,13 +161,13 @@ def _status(stamps: Floats, information: Floats, found: MapTrack) -> tuple[Statu
         after = good[np.clip(np.searchsorted(good, np.arange(len(stamps))), 0, len(good) - 1)]
         before = good[np.clip(np.searchsorted(good, np.arange(len(stamps)), side="right") - 1, 0, None)]
         near = np.minimum(np.abs(stamps[after] - stamps), np.abs(stamps - stamps[before]))
-        is_ok = (near <= MAP_TRACKING.patience) & np.isfinite(found.poses[:, 0])
+        is_ok = (near <= FRONT_END.patience) & np.isfinite(found.poses[:, 0])
     is_ambiguous = _ambiguous(is_ok, found)
     words: dict[bool, Status] = {True: "ambiguous", False: "lost"}
     return tuple("ok" if ok else words[bool(a)] for ok, a in zip(is_ok, is_ambiguous, strict=True))
 
 
-def _ambiguous(is_ok: Bools, found: MapTrack) -> Bools:
+def _ambiguous(is_ok: Bools, found: MapTracker) -> Bools:
     """Tell which scans are in an interval without a pose in which a search had several answers."""
     starts = np.flatnonzero(np.diff(np.concatenate([[True], is_ok])) & ~is_ok)
     out = np.zeros(len(is_ok), dtype=np.bool_)
@@ -181,12 +177,7 @@ def _ambiguous(is_ok: Bools, found: MapTrack) -> Bools:
     return out
 
 
-def _rivals_fit(
-    scans: ScanPoints,
-    steps: ScanTrack,
-    place: KnownMap,
-    rivals: Mapping[int, Floats],
-) -> float:
+def _rivals_fit(scans: ScanPoints, steps: ScanTrack, place: KnownMap, rivals: Mapping[int, Floats]) -> float:
     """Return the best fit of the drive around a search at the places that the search found.
 
     A single scan fits many places of a wrong map; scans along several metres do not.
@@ -198,7 +189,7 @@ def _rivals_fit(
         near = np.flatnonzero(
             (piece == piece[k]) & (np.abs(driven - driven[k]) <= MAP_TRACKING.usual_distance)
         )
-        some = near[np.linspace(0, len(near) - 1, min(MAP_TRACKING.rival_scans, len(near))).astype(np.intp)]
+        some = near[np.linspace(0, len(near) - 1, min(VIEW_SCANS, len(near))).astype(np.intp)]
         chosen = np.append(some[some != k], k)
         view = local_view(scans, chosen, steps.poses[chosen])
         for pose in poses:
@@ -208,14 +199,13 @@ def _rivals_fit(
 
 def _no_fit(run: Run, place: KnownMap, fit: float, name: str) -> str:
     """Return the message that the scans fit nowhere, or only when mirrored."""
-    least = max(fit + MAP_TRACKING.mirror_lead, MAP_TRACKING.found_fit)
-    few = replace(MAP_TRACKING, looks=MAP_TRACKING.mirror_looks, near_fit=least)
-    if best_fit((mirrored(look) for look in looks(run, few)), place, few) >= least:
+    least = max(fit + MIRROR_LEAD, GLOBAL_SEARCH.accept_fit)
+    if best_fit((mirrored(look) for look in looks(run, MIRROR_LOOKS)), place, least) >= least:
         return (
             f"the scans fit {name} only as seen in a mirror: the laser counts its rays clockwise; state this in "
             "robot.yaml or in the transform"
         )
-    if fit >= MAP_TRACKING.found_fit:
+    if fit >= GLOBAL_SEARCH.accept_fit:
         return (
             f"the scans fit nowhere in {name} along a drive: a single view fits by {fit:.0%}, but the next ones do not "
             "continue there. The map is of another place, or of another scale; give the map of the recorded place in metres, "
@@ -223,6 +213,6 @@ def _no_fit(run: Run, place: KnownMap, fit: float, name: str) -> str:
         )
     return (
         f"the scans fit nowhere in {name}: the best fit (share of returns on walls, minus twice the share through walls) is "
-        f"{max(fit, 0):.0%}, expected {MAP_TRACKING.found_fit:.0%}. The map is of another place, or of another scale; give the "
+        f"{max(fit, 0):.0%}, expected {GLOBAL_SEARCH.accept_fit:.0%}. The map is of another place, or of another scale; give the "
         "map of the recorded place in metres, or no map"
     )

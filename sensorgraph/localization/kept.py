@@ -14,14 +14,8 @@ from logs.errors import LogError
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.localization import map_settings, settings, time_settings
-from sensorgraph.localization.locate import (
-    MIN_SCANS,
-    has_reference,
-    locate,
-    located_run,
-    summary_lines,
-)
+from sensorgraph.localization import settings
+from sensorgraph.localization.locate import MIN_SCANS, has_reference, locate, located_run, summary_lines
 from sensorgraph.localization.result import Localization
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import ProgressBars, no_progress
@@ -129,8 +123,7 @@ def _key(path: Path, place: Arena | Sensorgraph | None, name: str, options: Mapp
         digest.update(Path(name).read_bytes())
     tuned = {
         label: asdict(value)
-        for module in (settings, map_settings, time_settings)
-        for label, value in vars(module).items()
+        for label, value in vars(settings).items()
         if hasattr(value, "__dataclass_fields__") and not isinstance(value, type)
     }
     described = {

@@ -17,12 +17,29 @@ from sensorgraph.localization.likelihood_field import (
     points_with_owners,
 )
 from sensorgraph.localization.line_map import LineMap, line_map
-from sensorgraph.localization.map_settings import KNOWN_MAP
-from sensorgraph.localization.seen_space import SeenSpace, is_ray_seen
+from sensorgraph.localization.settings import KNOWN_MAP
 from sensorgraph.types import Floats
 
+SPACING = 0.04
+"""[m] Spacing of the points on the walls to which scans are matched."""
+RESOLUTION = 0.05
+"""[m] Cell size of the field in which rays are evaluated; the cells of the global search are twice as large."""
+SEARCH_SIGMA = 0.12
+"""[m] Scatter of returns around the surfaces of the field of the search."""
 WALL = 225.0
 """Value of the fine field above which a cell is a wall."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenSpace:
+    """Grid of the cells that a ray of the map's own runs crossed or ended in."""
+
+    cells: NDArray[np.uint8]
+    """(nx, ny) 1: observed. Everything outside the grid is unobserved."""
+    origin: Floats
+    """(2,) [m, map] Lower left corner of cell (0, 0)."""
+    resolution: float
+    """[m] Side of a cell."""
 
 
 EVERYWHERE = SeenSpace(cells=np.zeros((0, 0), dtype=np.uint8), origin=np.zeros(2), resolution=1.0)
@@ -102,11 +119,7 @@ class KnownMap:
         return RayVerdicts(likelihoods=out[:, 0], hidden=out[:, 1] / n, unseen=out[:, 2] / n)
 
 
-def known_map(
-    walls: Floats,
-    seen: SeenSpace | None = None,
-    normals: Floats | None = None,
-) -> KnownMap:
+def known_map(walls: Floats, seen: SeenSpace | None = None, normals: Floats | None = None) -> KnownMap:
     """Prepare a known map.
 
     Parameters
@@ -122,13 +135,9 @@ def known_map(
     """
     if len(walls) == 0:
         raise SensorgraphError("the map has no wall; expected a map with walls")
-    points, owner = points_with_owners(walls, KNOWN_MAP.spacing)
-    fine = field_of_points(
-        points_on(walls, KNOWN_MAP.resolution / 2),
-        resolution=KNOWN_MAP.resolution,
-        sigma=KNOWN_MAP.ray_sigma,
-    )
-    coarse = field_of_points(points, resolution=2 * KNOWN_MAP.resolution, sigma=KNOWN_MAP.search_sigma)
+    points, owner = points_with_owners(walls, SPACING)
+    fine = field_of_points(points_on(walls, RESOLUTION / 2), resolution=RESOLUTION, sigma=KNOWN_MAP.ray_sigma)
+    coarse = field_of_points(points, resolution=2 * RESOLUTION, sigma=SEARCH_SIGMA)
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     window = SearchWindow(x=(x0 + x1) / 2, y=(y0 + y1) / 2, half_x=(x1 - x0) / 2, half_y=(y1 - y0) / 2)
     return KnownMap(
@@ -162,17 +171,10 @@ def _judge(
             y0 = poses[i, 1] + sin * starts[k, 0] + cos * starts[k, 1]
             x1 = poses[i, 0] + cos * points[k, 0] - sin * points[k, 1]
             y1 = poses[i, 1] + sin * points[k, 0] + cos * points[k, 1]
-            value = _value(values, (x1 - origin[0]) / resolution, (y1 - origin[1]) / resolution)
+            ray = _in_cells(x0, y0, x1, y1, origin, resolution)
+            value = _value(values, ray[2], ray[3])
             hit = numbers[0] * value / 255.0
-            is_hidden = _is_hidden(
-                values,
-                (x0 - origin[0]) / resolution,
-                (y0 - origin[1]) / resolution,
-                (x1 - origin[0]) / resolution,
-                (y1 - origin[1]) / resolution,
-                numbers[4] / resolution,
-                numbers[5] / resolution,
-            )
+            is_hidden = _is_hidden(values, *ray, numbers[4] / resolution, numbers[5] / resolution)
             if is_hidden:
                 hidden += 1.0
                 total += np.log(numbers[2] + 0.1 * hit)
@@ -180,13 +182,7 @@ def _judge(
             is_unobserved = (
                 value == 0.0
                 and seen.shape[0] > 0
-                and not is_ray_seen(
-                    seen,
-                    (x0 - seen_origin[0]) / seen_resolution,
-                    (y0 - seen_origin[1]) / seen_resolution,
-                    (x1 - seen_origin[0]) / seen_resolution,
-                    (y1 - seen_origin[1]) / seen_resolution,
-                )
+                and not is_ray_seen(seen, *_in_cells(x0, y0, x1, y1, seen_origin, seen_resolution))
             )
             if is_unobserved:
                 unseen += 1.0
@@ -194,6 +190,19 @@ def _judge(
             else:
                 total += np.log(numbers[1] + hit)
         out[i, 0], out[i, 1], out[i, 2] = total, hidden, unseen
+
+
+@inner_kernel
+def _in_cells(
+    x0: float, y0: float, x1: float, y1: float, origin: Floats, resolution: float
+) -> tuple[float, float, float, float]:
+    """Return both ends of a ray in cell units."""
+    return (
+        (x0 - origin[0]) / resolution,
+        (y0 - origin[1]) / resolution,
+        (x1 - origin[0]) / resolution,
+        (y1 - origin[1]) / resolution,
+    )
 
 
 @inner_kernel
@@ -232,3 +241,18 @@ def _meets_wall(values: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: 
     while k < n and _value(values, x0 + dx * (k / length), y0 + dy * (k / length)) <= WALL:
         k += 1
     return k < n
+
+
+@inner_kernel
+def is_ray_seen(cells: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: float) -> bool:
+    """Tell whether all cells along a ray, in cell units, are observed, by steps of half a cell."""
+    dx, dy = x1 - x0, y1 - y0
+    n = int(2.0 * np.sqrt(dx * dx + dy * dy)) + 1
+    nx, ny = cells.shape
+    for k in range(n + 1):
+        x, y = x0 + dx * (k / n), y0 + dy * (k / n)
+        if x < 0 or y < 0 or x >= nx or y >= ny:
+            return False
+        if cells[int(x), int(y)] == 0:
+            return False
+    return True

@@ -79,11 +79,6 @@ def field_of_points(points: Floats, *, resolution: float = 0.05, sigma: float = 
     return LikelihoodField(values=values, origin=origin, resolution=resolution)
 
 
-def field_of_segments(segments: Floats, *, resolution: float = 0.05, sigma: float = 0.07) -> LikelihoodField:
-    """Build the field of straight surfaces (n, 2, 2) [m, map]; parameters as in `field_of_points`."""
-    return field_of_points(points_on(segments, 0.5 * resolution), resolution=resolution, sigma=sigma)
-
-
 def points_on(segments: Floats, spacing: float) -> Floats:
     """Return points (n, 2) on segments (n_segments, 2, 2), both ends included, at most `spacing` [m] apart."""
     return points_with_owners(segments, spacing)[0]

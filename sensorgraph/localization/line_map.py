@@ -2,9 +2,13 @@
 
 The line is the weighted principal axis of the points that lie on the same side of a surface, with weights
 
-    u_k = (1 - d_k² / radius²)².
+    u_k = (1 - d_k² / radius²)²,  d_k < radius the distance of point k from the position (Cleveland 1979).
 
-The distance of point k from the position is d_k < radius (Cleveland 1979).
+With W = sum u_k and the weighted mean m and covariance C of the points, its direction is at the angle
+
+    angle = atan2(2 C_xy, C_xx - C_yy) / 2,
+
+and the variances across and along it are the eigenvalues (C_xx + C_yy) / 2 ∓ √((C_xx - C_yy)² / 4 + C_xy²).
 """
 
 from __future__ import annotations
@@ -14,12 +18,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.localization.settings import LINES, MATCH, UNKNOWN_NORMAL_LENGTH
+from sensorgraph.localization.settings import MATCH, UNKNOWN_NORMAL_LENGTH
 from sensorgraph.types import Floats, Ints
 
 FACING = 0.25
 """Cosine between the direction to the laser and a normal above which the laser observes that side, not along
 it."""
+SAME_SIDE = 0.3
+"""Cosine between two normals below which their points lie on different surfaces."""
+VOXEL = 0.05
+"""[m] Side of the cells in which points with similar normals are averaged; it bounds the cost of a match."""
+Table = tuple[float, float, Ints, Ints, Ints, Floats, Floats]
+"""Fields of a `LineMap` as kernels take them: side, facing, keys, first, counts, points, normals."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,13 +53,14 @@ class LineMap:
     facing: float
     """Cosine between a normal and the direction to the laser above which the laser observes that side."""
 
+    @property
+    def table(self) -> Table:
+        """The fields as kernels take them."""
+        return self.side, self.facing, self.keys, self.first, self.counts, self.points, self.normals
+
 
 def line_map(
-    points: Floats,
-    normals: Floats | None = None,
-    *,
-    side: float = MATCH.first_radius,
-    facing: float = FACING,
+    points: Floats, normals: Floats | None = None, *, side: float = MATCH.first_radius, facing: float = FACING
 ) -> LineMap:
     """Sort points into buckets.
 
@@ -67,31 +78,26 @@ def line_map(
     first, counts = np.zeros(n_slots, dtype=np.intp), np.zeros(n_slots, dtype=np.intp)
     order = np.zeros(n, dtype=np.intp)
     _fill(np.ascontiguousarray(points), side, keys, first, counts, order)
+    kept = points[order], normals[order]
     return LineMap(
         side=side,
         keys=keys,
         first=first,
         counts=counts,
-        points=points[order],
-        normals=normals[order],
+        points=kept[0],
+        normals=kept[1],
         order=order,
         facing=facing,
     )
 
 
-def thinned(points: Floats, normals: Floats, side: float = LINES.voxel) -> tuple[Floats, Floats]:
+def thinned(points: Floats, normals: Floats, side: float = VOXEL) -> tuple[Floats, Floats]:
     """Return the means (m, 2) of points and normals that share a square cell and an octant of directions."""
     n = len(points)
     keys = np.full(1 << max(4, int(2 * n).bit_length()), -1, dtype=np.intp)
     sums = np.zeros((n, 6))
-    m = _add_up(
-        np.ascontiguousarray(points),
-        np.ascontiguousarray(normals),
-        side,
-        keys,
-        np.zeros(len(keys), np.intp),
-        sums,
-    )
+    rows = np.zeros(len(keys), dtype=np.intp)
+    m = _add_up(np.ascontiguousarray(points), np.ascontiguousarray(normals), side, keys, rows, sums)
     means = sums[:m, :4] / sums[:m, 4:5]
     lengths = np.hypot(means[:, 2], means[:, 3])
     wanted = np.where(sums[:m, 5] > 0, 1.0, np.minimum(lengths, UNKNOWN_NORMAL_LENGTH))
@@ -114,11 +120,8 @@ def _add_up(points: Floats, normals: Floats, side: float, keys: Ints, rows: Ints
             rows[slot] = m
             m += 1
         row = rows[slot]
-        sums[row, 0] += x
-        sums[row, 1] += y
-        sums[row, 2] += nx
-        sums[row, 3] += ny
-        sums[row, 4] += 1.0
+        for i, value in enumerate((x, y, nx, ny, 1.0)):
+            sums[row, i] += value
         sums[row, 5] = 1.0 if sector < 8 else 0.0
     return m
 
@@ -176,19 +179,7 @@ def is_same_side(ax: float, ay: float, bx: float, by: float, same_side: float, f
 
 @inner_kernel
 def fit_line(
-    x: float,
-    y: float,
-    nx: float,
-    ny: float,
-    radius: float,
-    same_side: float,
-    side: float,
-    keys: Ints,
-    first: Ints,
-    counts: Ints,
-    points: Floats,
-    normals: Floats,
-    facing: float,
+    x: float, y: float, nx: float, ny: float, radius: float, table: Table
 ) -> tuple[float, float, float, float, float, float, float]:
     """Fit a line to the points around (x, y) with normals similar to (nx, ny), where both are known.
 
@@ -197,6 +188,7 @@ def fit_line(
     Sum of weights (0: no point), x and y of the mean [m], unit normal x and y, variances across and along
     [m²].
     """
+    side, facing, keys, first, counts, points, normals = table
     w, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     bx, by = int(np.floor(x / side)), int(np.floor(y / side))
     inverse = 1.0 / (radius * radius)
@@ -208,7 +200,7 @@ def fit_line(
                 near = 1.0 - (dx * dx + dy * dy) * inverse
                 if near <= 0.0:
                     continue
-                if not is_same_side(nx, ny, normals[k, 0], normals[k, 1], same_side, facing):
+                if not is_same_side(nx, ny, normals[k, 0], normals[k, 1], SAME_SIDE, facing):
                     continue
                 u = near * near
                 w += u

@@ -16,14 +16,14 @@ from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays, check_returns
-from sensorgraph.localization.graph_walls import walls_of_graph
+from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
+from sensorgraph.localization.known_map import SeenSpace
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import with_spread_stamps
 from sensorgraph.localization.odometry_check import check_turns, with_checked_odometry
-from sensorgraph.localization.result import Closure, Localization, true_intervals
+from sensorgraph.localization.result import Closure, Localization, stretches_of, true_intervals
 from sensorgraph.localization.robot_parts import without_robot_parts
-from sensorgraph.localization.seen_space import SeenSpace, seen_by_graph
 from sensorgraph.types import Floats, ProgressBars, no_progress
 
 POSE_SOURCE = "locate"
@@ -195,16 +195,10 @@ def summary(found: Localization) -> dict[str, Any]:
 
 def stretches(found: Localization) -> list[dict[str, Any]]:
     """Return the time intervals in which the robot was ok, lost or ambiguous."""
-    out: list[dict[str, Any]] = []
-    start, n = 0, len(found.status)
-    for k in range(1, n + 1):
-        if k == n or found.status[k] != found.status[start]:
-            out.append({
-                "status": found.status[start], "from_s": float(found.t[start]), "to_s": float(found.t[k - 1]),
-                "n_scans": k - start,
-            })  # fmt: skip
-            start = k
-    return out
+    return [
+        {"status": word, "from_s": float(found.t[a]), "to_s": float(found.t[b - 1]), "n_scans": b - a}
+        for word, a, b in stretches_of(found.status)
+    ]
 
 
 def maps(found: Localization) -> list[dict[str, Any]]:

@@ -23,12 +23,47 @@ from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.matching import Match, match
 from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
 from sensorgraph.localization.result import Closure
-from sensorgraph.localization.rival_places import ClosureCandidate, RivalPlaces, rival_places
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import CLOSURES, EDGE_FLOOR, ClosureSettings
-from sensorgraph.localization.submaps import Submap, cut_submaps
+from sensorgraph.localization.settings import CLOSURES, EDGE_FLOOR, FRONT_END
+from sensorgraph.localization.submaps import (
+    RIVAL_APART,
+    SUBMAP,
+    ClosureCandidate,
+    RivalPlaces,
+    Submap,
+    cut_submaps,
+    rival_places,
+)
 from sensorgraph.types import Bools, Floats, Progress
+
+WINDOW = 0.4
+"""[m] Minimum half width of the search, and that of the second pass, after the first has closed the loops."""
+TURN_WINDOW = 0.05
+"""[rad] Minimum half width of the heading search. A closure is rejected if the standard deviation of its heading is larger,
+because it would constrain nothing."""
+TURN_WINDOW_PER_METRE = 0.003
+"""[rad/m] Growth of the heading half width per distance driven since the last closure ..."""
+MAX_TURN_WINDOW = 0.8
+"""[rad] ... up to this one."""
+SECOND_TURN = 0.035
+"""[rad] Heading half width of the second pass."""
+BROKEN_WINDOW = 6.0
+"""[m] Half width of the search around each older submap after a break of the track, until the next closure."""
+BROKEN_CANDIDATES = 40
+"""Approximate number of older submaps that are searched after a break."""
+BROKEN_SCORE = 0.75
+"""Minimum likelihood-field score after a break; it is higher because no prior pose supports the match."""
+CANDIDATES = 3
+"""Number of older visits that are searched for each submap."""
+CORRELATION = 20.0
+"""Factor by which the information of a submap match is reduced, since its residuals are correlated."""
+NO_INFORMATION = 10.0
+"""[m] Standard deviation assigned to an unconstrained direction."""
+SOLVE_EVERY = 4
+"""Number of submaps between optimizations of the pose graph during the search."""
+KEPT_FIELDS = 128
+"""Number of recently used submaps whose likelihood fields are kept; each takes 2 to 5 MB, and a day of driving has thousands."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,9 +99,21 @@ def steps_of(track: ScanTrack) -> PoseEdges:
 class LoopCloser:
     """Search for the loop closures of a track."""
 
-    def __init__(self, scans: ScanPoints, track: ScanTrack, settings: ClosureSettings = CLOSURES) -> None:
-        self.settings, self.track = settings, track
-        self.submaps = cut_submaps(scans, track, settings)
+    def __init__(
+        self, scans: ScanPoints, track: ScanTrack, *, size: int = SUBMAP, kept_fields: int = KEPT_FIELDS
+    ) -> None:
+        """Take a track.
+
+        Parameters
+        ----------
+        size : Number of key frames of a submap.
+        kept_fields : Number of likelihood fields in memory.
+        """
+        self.track, self.kept_fields = track, kept_fields
+        self.submaps = cut_submaps(scans, track, size)
+        self.apart = (
+            size + size // 2
+        )  # key frames between two submaps; closer ones are neighbours along the track
         self.steps = steps_of(track)
         start = track.poses[track.key_frames]
         self.graph = PoseGraph(start, self.steps, is_doubtful=track.is_carried)
@@ -83,15 +130,14 @@ class LoopCloser:
 
     def run(self, progress: Progress) -> ClosedTrack:
         """Search along the track with growing windows, then again with small windows around the closed track."""
-        s = self.settings
         n = len(self.submaps)
         self._first_pass(progress)
         if self.found:
             self.graph.solve(PoseEdges.of(self.found))
             for b in range(n):
-                for a in self._candidates(b, s.reach):
+                for a in self._candidates(b, CLOSURES.reach):
                     if (a, b) not in self._tried:
-                        self._keep(b, self._search_pair(a, b, s.window, s.second_turn), 0.0)
+                        self._keep(b, self._search_pair(a, b, WINDOW, SECOND_TURN), 0.0)
                 progress(n + b, 2 * n)
         closures = PoseEdges.of(self.found)
         if self.found:
@@ -115,19 +161,19 @@ class LoopCloser:
         )
 
     def _first_pass(self, progress: Progress) -> None:
-        s, n = self.settings, len(self.submaps)
+        s, n = CLOSURES, len(self.submaps)
         last, new = 0, 0  # key frame of the last closure, number of closures since the last solution
         for b, submap in enumerate(self.submaps):
             way = float(self.way[submap.middle] - self.way[last])
             drift = 2.0 * float(np.sqrt(self.variance[submap.middle] - self.variance[last]))
-            window = s.window + 2.0 * s.drift_per_metre * way
-            turn = s.turn_window + s.turn_window_per_metre * way
+            window = WINDOW + 2.0 * s.drift_per_metre * way
+            turn = TURN_WINDOW + TURN_WINDOW_PER_METRE * way
             breaks = np.diff(self.track.piece[last : submap.middle + 1]) > 0
             if breaks.any():  # the wheels alone measured the motion
                 window = max(window, drift)
             hits, is_lost = 0, bool((breaks & ~self.track.is_carried[last : submap.middle]).any())
             if not is_lost:
-                window, turn = min(window, s.max_window), min(turn, s.max_turn_window)
+                window, turn = min(window, s.max_window), min(turn, MAX_TURN_WINDOW)
                 near = list(self._candidates(b, s.reach + window))
                 found = [one for a in near for one in self._search_pair(a, b, window, turn)]
                 hits = self._keep(b, found, drift if breaks.any() else s.drift_per_metre * way)
@@ -136,41 +182,40 @@ class LoopCloser:
                 hits = self._search_everywhere(b)
             if hits:
                 last, new = submap.middle, new + hits
-            if new and (b % s.solve_every == 0 or b == n - 1):
+            if new and (b % SOLVE_EVERY == 0 or b == n - 1):
                 self.graph.solve(PoseEdges.of(self.found))
                 new = 0
             progress(b, 2 * n)
 
     def _search_everywhere(self, b: int) -> int:
         """Search all older track segments for a submap after a break; return the number of closures that were kept."""
-        s, piece = self.settings, self.track.piece
+        piece = self.track.piece
         older = [a for a in range(b) if piece[self.submaps[a].middle] != piece[self.submaps[b].middle]]
-        step = max(len(older) // s.broken_candidates, 1)
+        step = max(len(older) // BROKEN_CANDIDATES, 1)
         found = [
             one
             for a in older[::step]
-            for one in self._search_pair(
-                a, b, s.broken_window, np.pi, guess=np.zeros(3), score=s.broken_score
-            )
+            for one in self._search_pair(a, b, BROKEN_WINDOW, np.pi, guess=np.zeros(3), score=BROKEN_SCORE)
         ]
         return self._keep(b, found, np.inf, is_anywhere=True)
 
     def _candidates(self, b: int, reach: float) -> Iterator[int]:
         """Yield the nearest older submap of each visit near a submap, in order of distance."""
-        s = self.settings
         middles = np.array([submap.middle for submap in self.submaps[:b]], dtype=np.intp)
         newer = self.submaps[b]
         apart = newer.key_frames[0] - np.array([submap.key_frames[-1] for submap in self.submaps[:b]])
         is_other = self.track.piece[middles] != self.track.piece[newer.middle]
         poses = self.graph.poses
         away = np.hypot(*(poses[middles, :2] - poses[newer.middle, :2]).T) if b else np.zeros(0)
-        order = [int(a) for a in np.argsort(away) if away[a] < reach and (apart[a] >= s.apart or is_other[a])]
+        order = [
+            int(a) for a in np.argsort(away) if away[a] < reach and (apart[a] >= self.apart or is_other[a])
+        ]
         taken: list[int] = []
         for a in order:
             if all(abs(a - other) > 3 for other in taken):
                 taken.append(a)
                 yield a
-            if len(taken) == s.candidates:
+            if len(taken) == CANDIDATES:
                 return
 
     def _search_pair(
@@ -181,16 +226,16 @@ class LoopCloser:
         turn: float,
         *,
         guess: Floats | None = None,
-        score: float | None = None,
+        score: float = CLOSURES.score,
     ) -> list[ClosureCandidate]:
         """Search submap a for submap b around a guess; return at most one candidate.
 
         Parameters
         ----------
         guess : (3,) [m, m, rad] Pose of b in a; None: the pose in the graph.
-        score : Minimum likelihood-field score; None: `settings.score`.
+        score : Minimum likelihood-field score.
         """
-        s, older, newer = self.settings, self.submaps[a], self.submaps[b]
+        older, newer = self.submaps[a], self.submaps[b]
         self._tried.add((a, b))
         poses = self.graph.poses
         if guess is None:
@@ -203,10 +248,10 @@ class LoopCloser:
         modes = older.pyramid.search(
             newer.search_points,
             box,
-            min_score=s.score if score is None else score,
+            min_score=score,
             max_modes=2,
-            rival_ratio=s.rivalry,
-            apart=(s.rival_apart, s.rival_turn),
+            rival_ratio=CLOSURES.rivalry,
+            apart=RIVAL_APART,
         )
         self._free_old_pyramids(a, b)
         if not len(modes.scores):
@@ -221,7 +266,7 @@ class LoopCloser:
                 inliers=found.inliers,
                 reason=self.objection(older, newer, found, guess, window, modes.rivalry),
             ),
-            information=information_of(found, s),
+            information=information_of(found),
             agreement=found.agreement,
             guess=guess,
             places=np.vstack([found.pose, modes.poses[1:]]),
@@ -233,7 +278,7 @@ class LoopCloser:
         for k in used:
             self._searched.pop(k, None)
             self._searched[k] = None
-        while len(self._searched) > max(self.settings.kept_pyramids, len(used)):
+        while len(self._searched) > max(self.kept_fields, len(used)):
             oldest = next(iter(self._searched))
             del self._searched[oldest]
             self.submaps[oldest].forget_pyramid()
@@ -250,7 +295,7 @@ class LoopCloser:
         newer = self.submaps[b].middle
         good = [one for one in found if not one.closure.reason]
         considered = found if is_anywhere or not good else good
-        rivals = rival_places(newer, considered, self.graph.poses, drift, self.settings)
+        rivals = rival_places(newer, considered, self.graph.poses, drift)
         if rivals is not None:
             self.rivals.append(rivals)
         for one in found:
@@ -272,16 +317,16 @@ class LoopCloser:
         self, older: Submap, newer: Submap, found: Match, guess: Floats, window: float, rivalry: float
     ) -> str:
         """Return the reason to reject a match, or an empty string."""
-        s = self.settings
+        s = CLOSURES
         if rivalry > 0:
             return f"another place has {rivalry:.0%} of its score"
         if found.overlap < s.overlap:
             return f"only {found.overlap:.0%} of the points have a surface near them"
-        if found.inliers < s.inliers:
+        if found.inliers < FRONT_END.min_inliers:
             return f"only {found.inliers:.0%} of the points lie on surfaces"
-        if np.abs(found.pose[:2] - guess[:2]).max() > window + s.window:
+        if np.abs(found.pose[:2] - guess[:2]).max() > window + WINDOW:
             return "the match left the search window"
-        if float(np.linalg.inv(information_of(found, s))[2, 2]) > s.turn_window**2:
+        if float(np.linalg.inv(information_of(found))[2, 2]) > TURN_WINDOW**2:
             return "the visible surfaces do not determine the heading"
         through = seen_through(older, newer, found.pose, s.margin)
         if through > s.see_through:
@@ -292,7 +337,7 @@ class LoopCloser:
         """Tell whether submaps contradict each other where the odometry has them; then the robot may have been carried."""
         older, newer, poses = self.submaps[a], self.submaps[b], self.graph.poses
         relative = compose(invert(poses[older.middle]), poses[newer.middle])
-        return seen_through(older, newer, relative, self.settings.margin) > self.settings.see_through
+        return seen_through(older, newer, relative, CLOSURES.margin) > CLOSURES.see_through
 
     def _refuse(self, closure: Closure, reason: str) -> None:
         self.refused.append(replace(closure, reason=reason))
@@ -305,26 +350,24 @@ def seen_through(older: Submap, newer: Submap, relative: Floats, margin: float) 
     )
 
 
-def information_of(found: Match, s: ClosureSettings) -> Floats:
+def information_of(found: Match) -> Floats:
     """Return the information (3, 3) in the older submap's frame; none along a corridor."""
-    information = found.information / s.correlation
+    information = found.information / CORRELATION
     lowest = float(np.linalg.eigvalsh(information)[0])
     direction, sd = found.weak_direction
     covariance: Floats = np.asarray(
         np.linalg.inv(information + (1e-6 + max(-lowest, 0.0)) * np.eye(3)), dtype=np.float64
     )
     covariance = covariance + np.diag(np.square(EDGE_FLOOR))
-    if sd * np.sqrt(s.correlation) > s.weak:
+    if sd * np.sqrt(CORRELATION) > CLOSURES.weak:
         along = np.append(direction, 0.0)
-        covariance = covariance + s.no_information**2 * np.outer(along, along)
+        covariance = covariance + NO_INFORMATION**2 * np.outer(along, along)
     return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
-def close_loops(
-    scans: ScanPoints, track: ScanTrack, progress: Progress, settings: ClosureSettings = CLOSURES
-) -> ClosedTrack:
+def close_loops(scans: ScanPoints, track: ScanTrack, progress: Progress) -> ClosedTrack:
     """Find the loop closures of a track; return the poses of its key frames with them."""
-    return LoopCloser(scans, track, settings).run(progress)
+    return LoopCloser(scans, track).run(progress)
 
 
 def spread(track: ScanTrack, poses: Floats) -> Floats:
@@ -333,19 +376,12 @@ def spread(track: ScanTrack, poses: Floats) -> Floats:
     Between two key frames the motion of the track applies; its error at the second is distributed evenly over
     the scans.
     """
+    left, right, share = track.between_key_frames()
     keys = track.key_frames
-    n = len(track.poses)
-    index = np.arange(n)
-    left = np.clip(np.searchsorted(keys, index, side="right") - 1, 0, len(keys) - 1)
-    right = np.minimum(left + 1, len(keys) - 1)
     moved = compose(poses[left], compose(invert(track.poses[keys[left]]), track.poses))
     there = compose(poses[left], compose(invert(track.poses[keys[left]]), track.poses[keys[right]]))
     miss = poses[right] - there
     miss[:, 2] = wrap(miss[:, 2])
-    width = np.maximum(keys[right] - keys[left], 1)
-    share = np.clip((index - keys[left]) / width, 0.0, 1.0) * (right > left)
-    # between two track segments that the odometry does not connect the motion is unknown: nothing to distribute
-    share = share * ((track.piece[left] == track.piece[right]) | np.append(track.is_carried, False)[left])
     out: Floats = moved + share[:, None] * miss
     out[:, 2] = wrap(out[:, 2])
     return out

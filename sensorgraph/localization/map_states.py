@@ -10,9 +10,11 @@ from logs.transforms import compose
 from sensorgraph.localization.loop_closures import ClosedTrack
 from sensorgraph.localization.result import Status, interval_notes, true_intervals
 from sensorgraph.localization.scan_track import ScanTrack, determines_all
-from sensorgraph.localization.settings import FINAL, FRONT_END
+from sensorgraph.localization.settings import FRONT_END
 from sensorgraph.types import Bools, Floats, Ints
 
+MIN_JOINING_CLOSURES = 2
+"""Number of consistent loop closures that join a track segment to the map after a break."""
 MAX_LISTED = 5
 """Maximum number of intervals of one kind in the notes."""
 
@@ -50,9 +52,9 @@ def map_numbers(tracked: ScanTrack, closed: ClosedTrack, *, by_odometry: bool = 
         own = ends[(joined == [a, b]).all(axis=1)]
         between[a, b] = min(len(np.unique(own[:, 0])), len(np.unique(own[:, 1])))
     carried = tracked.piece[1:][tracked.is_carried & by_odometry]
-    between[carried - 1, carried] += FINAL.min_joining_closures
+    between[carried - 1, carried] += MIN_JOINING_CLOSURES
     between += between.T
-    for a, b in zip(*np.nonzero(between >= FINAL.min_joining_closures), strict=True):
+    for a, b in zip(*np.nonzero(between >= MIN_JOINING_CLOSURES), strict=True):
         label[label == label[b]] = label[a]
     weight = np.bincount(label[tracked.piece], minlength=n_pieces)
     first = int(weight.argmax())
@@ -81,15 +83,13 @@ def map_states(
     matched : (n_scans,) The scan fits its map.
     projections : (n_key, 3, 3) Projection of a motion onto the directions that the key frame determines; None: all.
     """
-    keys, n = tracked.key_frames, len(poses)
-    left = np.clip(np.searchsorted(keys, np.arange(n), side="right") - 1, 0, None)
-    right = np.minimum(left + 1, len(keys) - 1)
+    left, right, _ = tracked.between_key_frames()
     piece = tracked.piece[left]
     deviations = np.sqrt(np.einsum("nii->ni", covariances))
     is_near = (deviations < FRONT_END.unknown_motion).all(axis=1)
     is_broken = np.append((np.diff(tracked.piece) > 0) & ~tracked.is_carried, False)
     is_carried = ~matched & is_near & ~is_broken[left] & has_odometry
-    directions = open_directions(projections, len(keys))
+    directions = open_directions(projections, len(tracked.key_frames))
     nearest = np.where(np.abs(directions[left]).sum(axis=1) > 0, left, right)
     directions = directions[nearest]
     along = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", directions, covariances, directions), 0.0))
@@ -131,9 +131,8 @@ def with_unknown_motion(
     Where no key frame of a track segment determines a direction, as in a corridor, the scans of a driving robot can
     look like those of a standing one. The motion is then up to `speed_sd` times half the duration.
     """
-    keys, out, s = tracked.key_frames, covariances.copy(), FRONT_END
-    directions = open_directions(projections, len(keys))
-    left = np.clip(np.searchsorted(keys, np.arange(len(stamps)), side="right") - 1, 0, None)
+    out, s, (left, _, _) = covariances.copy(), FRONT_END, tracked.between_key_frames()
+    directions = open_directions(projections, len(tracked.key_frames))
     for number in np.unique(tracked.piece):
         if not directions[tracked.piece == number].any(axis=1).all():
             continue

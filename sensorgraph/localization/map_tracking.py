@@ -12,29 +12,35 @@ import numpy as np
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
-from sensorgraph.localization.global_search import GlobalPlaces, find_places, fit_of, local_view
+from sensorgraph.localization.global_search import MIN_POINTS, GlobalPlaces, find_places, fit_of, local_view
 from sensorgraph.localization.known_map import KnownMap
-from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.scan_track import ScanTrack, information_at
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.types import Bools, Floats, Progress
+from sensorgraph.localization.settings import FRONT_END, GLOBAL_SEARCH, MAP_TRACKING, MIN_INLIERS_IN_MAP
+from sensorgraph.types import Floats, Progress
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MapTrack:
-    """Poses of scans in a known place."""
-
-    poses: Floats
-    """(n_scans, 3) [m, m, rad] base_link in map; nan where unknown."""
-    information: Floats
-    """(n_scans, 3, 3) Information of x, y, phi in map from the scan alone; zeros where not matched."""
-    breaks: Bools
-    """(n_scans,) The motion from the previous scan is not known."""
-    rivals: dict[int, Floats]
-    """Scan -> (n, 3) possible places, the best first, of searches with several answers."""
-    best_fit: float
-    """Best `GlobalPlaces.fit` of all searches."""
+BACKWARD_PATIENCE = 1.0
+"""[s] Time without an accepted match after which tracking backwards, from where the robot was found, ends."""
+UNRIVALLED_LEAD = 0.5
+"""Lead over all other places at which a fit of `near_fit` is enough; between, the limit is interpolated. An opened door or
+a moved cupboard lowers the fit of the true place, but a place that fits by chance has rivals with a similar fit: with
+`near_fit` they lead by at most 0.21, at 160 places of three logs outside the map (`localize_in_map --swap`)."""
+EXPECTED = (0.1, 0.05)
+"""[m], [rad] Maximum distance and heading difference of a place that is at the odometry pose."""
+FIT_MEMORY = 1.0
+"""[s] Time constant of the averaged fit."""
+SEARCH_DISTANCE, SEARCH_TURN = 0.3, 0.35
+"""[m], [rad] Motion between searches while the robot is lost; it doubles after each failed search, up to eight times as much or
+`SEARCH_GROWTH` times the distance driven while lost."""
+SEARCH_GROWTH = 0.1
+"""[m/m] Ratio of the distance between searches to the distance driven while lost, where a long drive fits nowhere."""
+EVERY_NTH_EVERYWHERE = 3
+"""Every n-th search covers the whole map, even if the odometry limits where the robot can be."""
+VIEW_SCANS = 5
+"""Maximum number of scans that are searched together."""
+REMATCH_DEVIATIONS = (0.05, 0.05, 0.02)
+"""[m, m, rad] Standard deviations of the smoothed track, as prior of the last matches."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,15 +84,18 @@ class _State:
 
 
 class MapTracker:
-    """Tracks scans one after the other in a known map."""
+    """Tracks scans one after the other in a known map.
 
-    def __init__(
-        self,
-        scans: ScanPoints,
-        stamps: Floats,
-        track: ScanTrack,
-        place: KnownMap,
-    ) -> None:
+    Attributes
+    ----------
+    poses : (n_scans, 3) [m, m, rad] base_link in map; nan where unknown.
+    information : (n_scans, 3, 3) Information of x, y, phi in map from the scan alone; zeros where not matched.
+    breaks : (n_scans,) The motion from the previous scan is not known.
+    rivals : Scan -> (n, 3) possible places, the best first, of searches with several answers.
+    best_fit : Best `GlobalPlaces.fit` of all searches.
+    """
+
+    def __init__(self, scans: ScanPoints, stamps: Floats, track: ScanTrack, place: KnownMap) -> None:
         n = scans.n_scans
         self.scans, self.stamps, self.track, self.place = scans, stamps, track, place
         self.breaks = ~track.is_continuous
@@ -99,8 +108,8 @@ class MapTracker:
         self.driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track.poses[:, :2], axis=0).T))])
         self.state = _State()
 
-    def run(self, progress: Progress) -> MapTrack:
-        """Track all scans, forwards and then backwards."""
+    def run(self, progress: Progress) -> MapTracker:
+        """Track all scans, forwards and then backwards; return the tracker."""
         n = self.scans.n_scans
         for k in range(n):
             if self.state.last_good < 0:  # the robot is lost: a discontinuity invalidates nothing
@@ -115,13 +124,7 @@ class MapTracker:
                 progress(k, n)
         self._track_backwards()
         progress(n, n)
-        return MapTrack(
-            poses=self.poses,
-            information=self.information,
-            breaks=self.breaks,
-            rivals=self.rivals,
-            best_fit=self.best_fit,
-        )
+        return self
 
     def _track_backwards(self) -> None:
         """Track backwards from where the robot was found, across single scans that do not fit."""
@@ -136,7 +139,7 @@ class MapTracker:
                 last_good = k
                 continue
             self.information[k] = 0.0
-            if self.stamps[last_good] - self.stamps[k] > s.backward_patience:
+            if self.stamps[last_good] - self.stamps[k] > BACKWARD_PATIENCE:
                 self.poses[k:last_good] = np.nan
 
     def _track_next(self, k: int) -> None:
@@ -145,9 +148,7 @@ class MapTracker:
         fit = self._track_from(k, k - 1)
         if fit is not None:
             state.last_good = k
-            state.fit += (fit - state.fit) * min(
-                float(self.stamps[k] - self.stamps[k - 1]) / s.fit_memory, 1.0
-            )
+            state.fit += (fit - state.fit) * min(float(self.stamps[k] - self.stamps[k - 1]) / FIT_MEMORY, 1.0)
             step = self.driven[k] - self.driven[k - 1]
             state.usual_fit += (fit - state.usual_fit) * min(float(step) / s.usual_distance, 1.0)
             if fit >= max(s.near_fit, s.confirmed_share * state.usual_fit):
@@ -167,7 +168,7 @@ class MapTracker:
         predicted = compose(self.poses[neighbour], step)
         self.poses[k] = predicted
         own = self.scans.of(k)
-        if own.stop - own.start < s.min_points:
+        if own.stop - own.start < MIN_POINTS:
             return None
         way = float(np.hypot(step[0], step[1]))
         deviations = np.asarray(s.prior_floor) + s.prior_per_motion * (way + abs(step[2]))
@@ -177,7 +178,7 @@ class MapTracker:
         )  # fmt: skip
         off = found.pose - predicted
         is_near = np.hypot(off[0], off[1]) < s.max_offset and abs(wrap(off[2])) < s.max_turn_offset
-        if not (is_near and found.inliers >= s.inliers and found.agreement >= s.agreement):
+        if not (is_near and found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= s.agreement):
             return None
         self.poses[k], self.information[k] = found.pose, found.information
         judged = self.place.judge(found.pose[None], self.scans.points[own], self.scans.starts[own])
@@ -186,15 +187,15 @@ class MapTracker:
     def _is_overdue(self, k: int) -> bool:
         """Tell whether the last scan that fits is too far back in time or distance."""
         last = self.state.last_good
-        waited = self.stamps[k] - self.stamps[last] > MAP_TRACKING.patience
+        waited = self.stamps[k] - self.stamps[last] > FRONT_END.patience
         return bool(waited or self.driven[k] - self.driven[last] > MAP_TRACKING.patience_distance)
 
     def _search(self, k: int) -> None:
         """Search where the odometry allows, and periodically the whole map; skip if the robot has not moved."""
         s, state = MAP_TRACKING, self.state
-        if self.scans.first[k + 1] - self.scans.first[k] < s.min_points or not self._is_due(k):
+        if self.scans.first[k + 1] - self.scans.first[k] < MIN_POINTS or not self._is_due(k):
             return
-        chosen = np.array([*state.view[-(s.view_scans - 1) :], k], dtype=np.intp)
+        chosen = np.array([*state.view[-(VIEW_SCANS - 1) :], k], dtype=np.intp)
         view = local_view(self.scans, chosen, self.track.poses[chosen])
         state.last_search = k
         state.view.append(k)
@@ -202,14 +203,14 @@ class MapTracker:
         window = self._window(k)
         if window is None:
             found = find_places(view, self.place)
-            if self._accept(k, found, min_fit_of(found)) and found.fit < s.found_fit:
+            if self._accept(k, found, min_fit_of(found)) and found.fit < GLOBAL_SEARCH.accept_fit:
                 state.probation_fit = s.min_fit
             return
         found = find_places(view, self.place, window=window)
         if self._accept(k, found, s.near_fit):
             return
         is_expected = found.fit >= s.expected_fit and _is_expected(found.poses[0], window)
-        if not is_expected and state.n_searches % s.every_nth_everywhere != 0:
+        if not is_expected and state.n_searches % EVERY_NTH_EVERYWHERE != 0:
             return
         anywhere = find_places(view, self.place)
         if is_expected and anywhere.fit <= found.fit:
@@ -222,17 +223,17 @@ class MapTracker:
             state.last_confirmed = state.confirmed_before = -1
 
     def _is_due(self, k: int) -> bool:
-        s, state = MAP_TRACKING, self.state
+        state = self.state
         if state.last_search < 0:
             return True
         lost = self.driven[k] - self.driven[state.view[0]]
-        usual = 8 * s.search_distance
-        most = max(usual, s.search_growth * lost)
-        share = min(2.0 ** (state.n_searches - 1), most / s.search_distance)
+        usual = 8 * SEARCH_DISTANCE
+        most = max(usual, SEARCH_GROWTH * lost)
+        share = min(2.0 ** (state.n_searches - 1), most / SEARCH_DISTANCE)
         turn = abs(wrap(self.track.poses[k, 2] - self.track.poses[state.last_search, 2]))
-        turn_limit = min(share * s.search_turn, np.pi / 2 * most / usual)
+        turn_limit = min(share * SEARCH_TURN, np.pi / 2 * most / usual)
         way = self.driven[k] - self.driven[state.last_search]
-        return bool(way > share * s.search_distance or turn > turn_limit)
+        return bool(way > share * SEARCH_DISTANCE or turn > turn_limit)
 
     def _window(self, k: int) -> SearchWindow | None:
         """Return the window that the odometry allows since the loss; None without a last confirmed pose."""
@@ -269,15 +270,15 @@ class MapTracker:
 def min_fit_of(found: GlobalPlaces) -> float:
     """Return the minimum fit of a globally found place; it decreases with the place's lead."""
     s = MAP_TRACKING
-    share = np.clip(found.lead / s.unrivalled_lead, 0.0, 1.0) if len(found.poses) else 0.0
-    return float(s.found_fit + share * (s.near_fit - s.found_fit))
+    share = np.clip(found.lead / UNRIVALLED_LEAD, 0.0, 1.0) if len(found.poses) else 0.0
+    return float(GLOBAL_SEARCH.accept_fit + share * (s.near_fit - GLOBAL_SEARCH.accept_fit))
 
 
 def _is_expected(pose: Floats, window: SearchWindow) -> bool:
     """Tell whether a pose is at the odometry pose, the centre of the window."""
     turn = abs(wrap(pose[2] - window.phi))
     way = np.hypot(pose[0] - window.x, pose[1] - window.y)
-    return bool(way < MAP_TRACKING.expected_distance and turn < MAP_TRACKING.expected_turn)
+    return bool(way < EXPECTED[0] and turn < EXPECTED[1])
 
 
 def _is_within(pose: Floats, window: SearchWindow) -> bool:
@@ -286,12 +287,7 @@ def _is_within(pose: Floats, window: SearchWindow) -> bool:
     return bool(is_near and turn <= window.half_phi)
 
 
-def rematch(
-    scans: ScanPoints,
-    poses: Floats,
-    place: KnownMap,
-    progress: Progress,
-) -> MapMatches:
+def rematch(scans: ScanPoints, poses: Floats, place: KnownMap, progress: Progress) -> MapMatches:
     """Match scans again, starting from known poses.
 
     The radii are the default ones for any laser, since the walls of a map are dense.
@@ -304,13 +300,13 @@ def rematch(
     noise, agreement = np.full((2, len(poses)), np.nan)
     for k in np.flatnonzero(np.isfinite(poses).all(axis=1)):
         own = scans.of(int(k))
-        if own.stop - own.start < MAP_TRACKING.min_points:
+        if own.stop - own.start < MIN_POINTS:
             continue
-        prior = information_at(poses[k], np.asarray(MAP_TRACKING.rematch_deviations))
+        prior = information_at(poses[k], np.asarray(REMATCH_DEVIATIONS))
         found = match(
             scans.points[own], scans.normals[own], place.surfaces, poses[k], prior_information=prior
         )
-        if found.inliers >= MAP_TRACKING.inliers and found.agreement >= MAP_TRACKING.agreement:
+        if found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= MAP_TRACKING.agreement:
             places[k], information[k] = found.pose, found.information
             noise[k], agreement[k] = found.noise, found.agreement
         if k % 50 == 0:

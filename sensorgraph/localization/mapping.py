@@ -8,30 +8,30 @@ import numpy as np
 
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.contradicted_motion import with_motion_of_scans
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.covariances import key_frame_covariances
-from sensorgraph.localization.dead_reckoning import with_dead_reckoning
+from sensorgraph.localization.dead_reckoning import with_dead_reckoning, with_sweep_motion
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
 from sensorgraph.localization.loop_closures import close_loops, spread
 from sensorgraph.localization.map_states import map_numbers, map_states, state_notes, with_unknown_motion
 from sensorgraph.localization.matching import match
-from sensorgraph.localization.moving_returns import verdict_on, without_moving_returns
+from sensorgraph.localization.moving_returns import verdict_on, with_motion_of_scans, without_moving_returns
 from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.refinement import Refined, refine
 from sensorgraph.localization.result import Localization, Status
 from sensorgraph.localization.scan_track import ScanTrack, is_covered, settled, turn_matrices
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import FINAL, MATCH, LineMatchSettings
+from sensorgraph.localization.settings import FRONT_END, MATCH, MIN_INLIERS_IN_MAP, LineMatchSettings
 from sensorgraph.localization.smoothing import SmoothedPoses, smooth, steps_of
-from sensorgraph.localization.sweep_motion import with_sweep_motion
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
 NARROW_VIEW = float(np.radians(44.0))
 """[rad] Field of view up to which no pose is certain. In a room, poses from 38° were silently wrong by up to 2 m; from 45°,
 they were right within 6 cm."""
+TRACK_COVARIANCE = np.diag(np.square([0.03, 0.03, 0.015]))
+"""(3, 3) [m, m, rad] Of the track between two key frames, as prior of the scans between them."""
 MIN_VARIANCE = 1e-8
 """[m², rad²] Added to the independent variances of scans, since those of key frames are 0."""
 
@@ -105,7 +105,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     covariances = covariances + verdict.doubt[:, :, None] ** 2 * np.eye(3)
     origin = np.zeros(3) if odometry is None else odometry[0]
     poses, covariances = _moved_to(smoothed.poses, covariances, origin)
-    seen = refined.system.projections
+    seen = refined.system.rows.projections
     if seen is not None:
         turn = turn_matrices(poses[0, 2] - smoothed.poses[0, 2])
         seen = turn @ seen @ turn.T
@@ -173,22 +173,16 @@ def _place_all(
     poses = spread(tracked, refined.poses)
     matching = MATCH.for_spacing(scans.spacing)
     normals = refined.frames.placed(refined.poses)[1]
-    surfaces = line_map(*thinned(refined.system.surface, normals), side=matching.first_radius)
-    index = np.arange(n)
-    left = np.clip(np.searchsorted(keys, index, side="right") - 1, 0, len(keys) - 1)
-    right = np.minimum(left + 1, len(keys) - 1)
-    share = np.clip((index - keys[left]) / np.maximum(keys[right] - keys[left], 1), 0.0, 1.0)[:, None, None]
-    is_joined = (tracked.piece[left] == tracked.piece[right]) | np.append(tracked.is_carried, False)[left]
-    share = (
-        share * is_joined[:, None, None]
-    )  # as `spread` places scans between two segments that nothing connects
+    surfaces = line_map(*thinned(refined.system.rows.surface, normals), side=matching.first_radius)
+    left, right, share = tracked.between_key_frames()
+    share = share[:, None, None]
     covariances = (1 - share) * shared[left] + share * shared[right]
     covariances[keys] = key_covariances
     own, matched = np.zeros((n, 3, 3)), tracked.matched.copy()
     is_key = np.zeros(n, dtype=np.bool_)
     is_key[keys] = len(keys) > 1  # a single one is as uncertain as any other scan
-    for k in index[~is_key]:
-        poses[k], own[k], fits = _place(scans, int(k), surfaces, poses[k], FINAL.covariance, matching)
+    for k in np.flatnonzero(~is_key):
+        poses[k], own[k], fits = _place(scans, int(k), surfaces, poses[k], TRACK_COVARIANCE, matching)
         matched[k] &= fits
         if k % 50 == 0:
             progress(int(k), n)
@@ -218,7 +212,7 @@ def _placed_again(
     for k in np.flatnonzero(~matched & is_between & (deviations < matching.first_radius)).tolist():
         if is_covered(scans, k):
             continue
-        prior = smoothed.covariances[k] + FINAL.covariance  # slip is larger than the odometry's deviations
+        prior = smoothed.covariances[k] + TRACK_COVARIANCE  # slip is larger than the odometry's deviations
         pose, covariance, fits = _place(scans, k, placed.surfaces, smoothed.poses[k], prior, matching)
         if fits:
             poses[k], own[k], matched[k] = pose, covariance, True
@@ -234,7 +228,7 @@ def _place(
     matching: LineMatchSettings,
 ) -> tuple[Floats, Floats, bool]:
     """Return pose, covariance from scan and prior alone, and whether it fits, of one scan between key frames."""
-    own, settings = scans.of(k), FINAL
+    own = scans.of(k)
     information = np.linalg.inv(prior_covariance).astype(np.float64)
     found = match(
         scans.points[own],
@@ -244,7 +238,7 @@ def _place(
         prior_information=information,
         settings=matching,
     )
-    fits = found.inliers >= settings.inliers and found.overlap >= settings.overlap
+    fits = found.inliers >= MIN_INLIERS_IN_MAP and found.overlap >= FRONT_END.min_overlap
     if not fits:
         return prior, prior_covariance, False
     covariance = np.linalg.inv(found.information + information)

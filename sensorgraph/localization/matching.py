@@ -7,7 +7,9 @@ Gauss-Newton minimises, over the pose x = (x, y, phi),
 Here r_k is the distance of point k from the line fitted to the map around it (`line_map`). Its variance is
 v_k = sigma² + the variance across the line, and rho is Cauchy's function. Some points lie at a spot of the
 map rather than a line. For these the distance t_k along the line counts too, with variance w_k = sigma² + the
-variance along it (Censi 2008).
+variance along it (Censi 2008). A step d solves, with J_k = n_kᵀ (I, R'(phi) p_k) and weights 1 / (1 + r_k² / (4 v_k)),
+
+    (sum_k J_kᵀ J_k weight_k / v_k + prior_information) d = -sum_k J_kᵀ r_k weight_k / v_k - prior_information (x - prior).
 """
 
 from __future__ import annotations
@@ -17,10 +19,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.localization.line_map import LineMap, fit_line
-from sensorgraph.localization.settings import MATCH, LineMatchSettings
-from sensorgraph.types import Floats, Ints
+from sensorgraph.localization.line_map import LineMap, Table, fit_line
+from sensorgraph.localization.settings import MATCH, MIN_NOISE, LineMatchSettings
+from sensorgraph.types import Floats
 
+ITERATIONS = 12
+"""Maximum number of Gauss-Newton steps."""
+TOLERANCE = 1e-4
+"""[m, rad] Largest component of a step below which the iteration stops."""
+ROUNDNESS = 0.15
+"""Ratio of the variances across and along a line above which it is a spot; a spot also constrains the tangential direction."""
+MIN_WEIGHT = 2.0
+"""Sum of neighbour weights below which no line is fitted."""
+INLIER = 2.0
+"""Number of standard deviations within which a point is an inlier."""
+CORRELATION = 2.0
+"""Factor by which the information of a match of one scan is reduced, since its residuals are correlated: neighbouring rays, and
+scans, share surfaces."""
 _Line = tuple[float, float, float, float, float, float, float]
 """Result of `fit_line`: weight, middle x and y, normal x and y, variances across and along."""
 
@@ -65,7 +80,6 @@ def match(
     surfaces: LineMap,
     start: Floats,
     *,
-    prior: Floats | None = None,
     prior_information: Floats | None = None,
     settings: LineMatchSettings = MATCH,
 ) -> Match:
@@ -75,30 +89,25 @@ def match(
     ----------
     points, normals : (n, 2) Points of the scan in base_link, as in `ScanPoints`.
     surfaces : Line map with buckets of at least `settings.first_radius`.
-    start : (3,) [m, m, rad] Initial base_link in map.
-    prior : (3,) [m, m, rad] Expected base_link in map; None: the start.
+    start : (3,) [m, m, rad] Initial base_link in map; also the expected one, if there is a prior.
     prior_information : (3, 3) Information of x, y, phi in map; None: no prior.
     """
     out = np.zeros(16)
+    radii = np.minimum([settings.first_radius, settings.last_radius], surfaces.side)
     _match(
         np.ascontiguousarray(points),
         np.ascontiguousarray(normals),
-        surfaces.side,
-        surfaces.keys,
-        surfaces.first,
-        surfaces.counts,
-        surfaces.points,
-        surfaces.normals,
+        surfaces.table,
         np.asarray(start, dtype=np.float64),
-        np.asarray(start if prior is None else prior, dtype=np.float64),
         np.zeros((3, 3)) if prior_information is None else np.asarray(prior_information, dtype=np.float64),
-        _numbers(surfaces, settings),
+        radii,
+        settings.sigma * settings.sigma,
         out,
     )
     information, projection = _determined(out[3:12].reshape(3, 3), points)
     n = max(len(points), 1)
     near, within, square, degrees = out[12:16]
-    noise = max(float(np.sqrt(square / max(degrees - 3.0, 1.0))), settings.min_noise)
+    noise = max(float(np.sqrt(square / max(degrees - 3.0, 1.0))), MIN_NOISE)
     pose = out[:3].copy()
     pose[2] = np.pi - (np.pi - pose[2]) % (2 * np.pi)
     return Match(
@@ -126,38 +135,15 @@ def _determined(normal_matrix: Floats, points: Floats) -> tuple[Floats, Floats]:
     return information, projection
 
 
-def _numbers(surfaces: LineMap, settings: LineMatchSettings) -> Floats:
-    """Return the settings as the kernels take them."""
-    return np.array(
-        [
-            min(settings.first_radius, surfaces.side),
-            min(settings.last_radius, surfaces.side),
-            settings.sigma,
-            settings.iterations,
-            settings.tolerance,
-            settings.roundness,
-            settings.min_points,
-            settings.same_side,
-            settings.inlier,
-            surfaces.facing,
-        ]
-    )
-
-
 @kernel
 def _match(
     points: Floats,
     normals: Floats,
-    side: float,
-    keys: Ints,
-    first: Ints,
-    counts: Ints,
-    map_points: Floats,
-    map_normals: Floats,
-    start: Floats,
+    table: Table,
     prior: Floats,
     prior_information: Floats,
-    numbers: Floats,
+    radii: Floats,
+    variance: float,
     out: Floats,
 ) -> None:
     """Run Gauss-Newton.
@@ -166,13 +152,12 @@ def _match(
     (9), the number of points with a line, the number of inliers, the weighted sum of squares and the sum of
     weights.
     """
-    first_radius, last_radius = numbers[0], numbers[1]
-    n_iterations, tolerance = int(numbers[3]), numbers[4]
-    x, y, phi = start[0], start[1], start[2]
-    radius, shrink = first_radius, (last_radius / first_radius) ** 0.25
+    last_radius = radii[1]
+    x, y, phi = prior[0], prior[1], prior[2]
+    radius, shrink = radii[0], (last_radius / radii[0]) ** 0.25
     sums = np.zeros(19)
     is_found = False
-    for iteration in range(n_iterations + 1):
+    for iteration in range(ITERATIONS + 1):
         cos, sin = np.cos(phi), np.sin(phi)
         sums[:] = 0.0
         for k in range(len(points)):
@@ -180,16 +165,14 @@ def _match(
             ry = sin * points[k, 0] + cos * points[k, 1]
             mx = cos * normals[k, 0] - sin * normals[k, 1]
             my = sin * normals[k, 0] + cos * normals[k, 1]
-            line = _line_at(
-                x + rx, y + ry, mx, my, radius, numbers, side, keys, first, counts, map_points, map_normals
-            )
-            if line[0] >= numbers[6]:
-                _add_point(sums, rx, ry, x + rx - line[1], y + ry - line[2], line, numbers)
-        if is_found or iteration == n_iterations:
+            line = _line_at(x + rx, y + ry, mx, my, radius, variance, table)
+            if line[0] >= MIN_WEIGHT:
+                _add_point(sums, rx, ry, x + rx - line[1], y + ry - line[2], line, variance)
+        if is_found or iteration == ITERATIONS:
             break
         d0, d1, d2 = _step(sums, x, y, phi, prior, prior_information)
         x, y, phi = x + d0, y + d1, phi + d2
-        is_found = radius <= last_radius * 1.0001 and max(abs(d0), abs(d1), abs(d2)) < tolerance
+        is_found = radius <= last_radius * 1.0001 and max(abs(d0), abs(d1), abs(d2)) < TOLERANCE
         radius = max(last_radius, radius * shrink)
     out[0], out[1], out[2] = x, y, phi
     out[3], out[4], out[5], out[6], out[7], out[8] = sums[0], sums[1], sums[2], sums[1], sums[3], sums[4]
@@ -198,29 +181,16 @@ def _match(
 
 
 @inner_kernel
-def _line_at(
-    x: float,
-    y: float,
-    nx: float,
-    ny: float,
-    radius: float,
-    numbers: Floats,
-    side: float,
-    keys: Ints,
-    first: Ints,
-    counts: Ints,
-    points: Floats,
-    normals: Floats,
-) -> _Line:
+def _line_at(x: float, y: float, nx: float, ny: float, radius: float, variance: float, table: Table) -> _Line:
     """Fit a line around (x, y) as `fit_line` does; if too few points are near, within the side of a bucket.
 
     The weight is 0 if the points in the larger radius also belong to other surfaces.
     """
-    variance, min_points, same_side, facing = numbers[2] * numbers[2], numbers[6], numbers[7], numbers[9]
-    line = fit_line(x, y, nx, ny, radius, same_side, side, keys, first, counts, points, normals, facing)
-    if line[0] >= min_points or radius >= side:
+    side = table[0]
+    line = fit_line(x, y, nx, ny, radius, table)
+    if line[0] >= MIN_WEIGHT or radius >= side:
         return line
-    line = fit_line(x, y, nx, ny, side, same_side, side, keys, first, counts, points, normals, facing)
+    line = fit_line(x, y, nx, ny, side, table)
     if line[5] > variance:
         return 0.0, x, y, 1.0, 0.0, 0.0, 0.0
     return line
@@ -228,7 +198,7 @@ def _line_at(
 
 @inner_kernel
 def _add_point(
-    sums: Floats, rx: float, ry: float, dx: float, dy: float, line: _Line, numbers: Floats
+    sums: Floats, rx: float, ry: float, dx: float, dy: float, line: _Line, variance: float
 ) -> None:
     """Add point (rx, ry) relative to the robot, at (dx, dy) from the middle of its line, all in map directions.
 
@@ -237,7 +207,6 @@ def _add_point(
     weights follow.
     """
     w, _, _, nx, ny, across, along = line
-    variance, roundness, inlier = numbers[2] * numbers[2], numbers[5], numbers[8]
     v = variance + across
     r = nx * dx + ny * dy
     soft = 1.0 / (1.0 + r * r / (4.0 * v))
@@ -254,12 +223,12 @@ def _add_point(
     sums[4] += soft * (ny * j - tilt * ty * jt)
     sums[5] += soft * (j * j - tilt * jt * jt)
     sums[15] += 1.0
-    if r * r < inlier * inlier * v:
+    if r * r < INLIER * INLIER * v:
         sums[16] += 1.0
         sums[17] += soft * r * r
         sums[18] += soft
     _add_residual(sums, r, soft / v, nx, ny, j)
-    if across > roundness * along:
+    if across > ROUNDNESS * along:
         r = tx * dx + ty * dy
         v = variance + along
         _add_residual(sums, r, 1.0 / (1.0 + r * r / (4.0 * v)) / v, tx, ty, jt)
@@ -269,15 +238,9 @@ def _add_point(
 def _add_residual(sums: Floats, r: float, weight: float, jx: float, jy: float, jphi: float) -> None:
     """Add a residual with its derivatives to the normal equations."""
     wx, wy, wphi = weight * jx, weight * jy, weight * jphi
-    sums[6] += wx * jx
-    sums[7] += wx * jy
-    sums[8] += wx * jphi
-    sums[9] += wy * jy
-    sums[10] += wy * jphi
-    sums[11] += wphi * jphi
-    sums[12] += wx * r
-    sums[13] += wy * r
-    sums[14] += wphi * r
+    products = (wx * jx, wx * jy, wx * jphi, wy * jy, wy * jphi, wphi * jphi, wx * r, wy * r, wphi * r)
+    for i, product in enumerate(products):
+        sums[6 + i] += product
 
 
 @inner_kernel

@@ -9,7 +9,12 @@ Where the odometry is right, the readings that it places in crossed space are dr
 does not help, and no readings support the scans, all are dropped. Where no readings support either motion, the poses are as uncertain as the two differ.
 
 A motion by the scans that places many readings in crossed space is a wrong match, as of scans that are turned, or of few surfaces
-behind much that moves. It counts for nothing, however many readings it explains by chance.
+behind much that moves. It counts for nothing, however many readings it explains by chance: more than `CLOSURES.see_through`
+of those that the other scan sees. Of robots that were pushed or slipped, it is up to 0.02.
+
+Where the odometry contradicts the scans and does not measure the motion, neither does it during a sweep: a robot that turns by ω
+while its odometry stands would be located ω T / 2 off its heading at the stamp of a sweep of the duration T. The track of the scans
+measures this motion, and deskews such sweeps.
 """
 
 from __future__ import annotations
@@ -21,37 +26,25 @@ import numpy as np
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.contrast import Contrast
-from sensorgraph.localization.crossed_space import NOISE_MARGIN, crossed, moved_points
 from sensorgraph.localization.front_end import track
-from sensorgraph.localization.missing_odometry import is_measured
+from sensorgraph.localization.missing_odometry import is_measured, without_jumps
 from sensorgraph.localization.odometry import odometry_of
-from sensorgraph.localization.ray_times import TrackedRun
+from sensorgraph.localization.ray_times import TrackedRun, motion_of_track
 from sensorgraph.localization.result import WheelParameters, true_intervals
-from sensorgraph.localization.scans import ScanPoints
+from sensorgraph.localization.scans import NOISE_MARGIN, ScanPoints, crossed, moved_points, scan_points
 from sensorgraph.localization.settings import CLOSURES
 from sensorgraph.localization.wheels import corrected_steps
 from sensorgraph.types import Bools, Floats, Ints, Progress
 
-
-@dataclass(frozen=True, kw_only=True)
-class MovingReturnSettings:
-    """Which of scans and odometry is right."""
-
-    min_supporting: float = 4.0
-    """Mean number of readings that support one motion between two scans; fewer may be chance ..."""
-    min_share: float = 0.1
-    """... unless they are this share of the readings of a scan, as with few rays."""
-    min_ratio: float = 0.2
-    """Ratio of readings that support the odometry to those that support the scans, from which the odometry is right. Where robots
-    were pushed or slipped (fr079, intel), it was up to 0.07; with a trailer, people or the ground in view, 0.4 or more."""
-    see_through: float = CLOSURES.see_through
-    """Share of the readings, of those that the other scan sees, in space that its rays crossed, above which the scans do not fit
-    each other at their motion: it is a wrong match. Of robots that were pushed or slipped, it is up to 0.02."""
-    rounds: int = 6
-    """Maximum number of times that the scans are tracked again; each shows contradictions that larger ones had hidden."""
-
-
-MOVING_RETURNS = MovingReturnSettings()
+MIN_SUPPORTING = 4.0
+"""Mean number of readings that support one motion between two scans; fewer may be chance ..."""
+MIN_SHARE = 0.1
+"""... unless they are this share of the readings of a scan, as with few rays."""
+MIN_RATIO = 0.2
+"""Ratio of readings that support the odometry to those that support the scans, from which the odometry is right. Where robots
+were pushed or slipped (fr079, intel), it was up to 0.07; with a trailer, people or the ground in view, 0.4 or more."""
+ROUNDS = 6
+"""Maximum number of times that the scans are tracked again; each shows contradictions that larger ones had hidden."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +65,28 @@ class OdometryVerdict:
         return cls(is_false=none, is_sure=none.copy(), doubt=np.zeros((n, 3)))
 
 
+def with_motion_of_scans(followed: TrackedRun, progress: Progress) -> TrackedRun:
+    """Return a tracked run whose sweeps are deskewed by the track where it contradicts the odometry, and tracked again.
+
+    Sweeps stay as they are where readings show that the odometry is right, or do not decide.
+    """
+    run, odometry, tracked = followed.run, followed.odometry, followed.track
+    measured = odometry_of(run) if run.sensor.has_ray_delays else None
+    if odometry is None or measured is None or tracked.wheels is None:
+        return followed
+    wheels, usable = learned_wheels(followed), is_measured(measured, run.stamps)
+    contrast = Contrast.of(run.stamps, tracked.poses, odometry, usable, wheels)
+    is_between_pieces = tracked.within(np.diff(tracked.piece) != 0)  # their frames differ
+    chosen = contrast.contradicted(run.n_scans) & tracked.matched & ~is_between_pieces
+    if not chosen.any():
+        return followed
+    verdict = verdict_on(run, followed.scans, tracked.poses, odometry, wheels)
+    chosen &= ~verdict.is_false & ~verdict.doubt.any(axis=1)
+    motion = motion_of_track(run, tracked, without_jumps(measured))
+    scans = followed.scans.with_scans_of(scan_points(run, motion), chosen)
+    return replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress))
+
+
 def without_moving_returns(followed: TrackedRun, progress: Progress) -> TrackedRun:
     """Return a tracked run without the readings that go along with the robot, and a note where there are any."""
     run, odometry, measured = followed.run, followed.odometry, odometry_of(followed.run)
@@ -80,7 +95,7 @@ def without_moving_returns(followed: TrackedRun, progress: Progress) -> TrackedR
     usable, whole = is_measured(measured, run.stamps), followed.scans
     dropped = np.zeros(len(whole.points), dtype=np.bool_)
     thinned = np.zeros(run.n_scans, dtype=np.bool_)
-    for _ in range(MOVING_RETURNS.rounds):
+    for _ in range(ROUNDS):
         wheels = learned_wheels(followed)
         contrast = Contrast.of(run.stamps, followed.track.poses, odometry, usable, wheels)
         verdict = _judged(whole, contrast)
@@ -100,11 +115,7 @@ def without_moving_returns(followed: TrackedRun, progress: Progress) -> TrackedR
 
 
 def verdict_on(
-    run: Run,
-    scans: ScanPoints,
-    poses: Floats,
-    odometry: Floats | None,
-    wheels: WheelParameters | None,
+    run: Run, scans: ScanPoints, poses: Floats, odometry: Floats | None, wheels: WheelParameters | None
 ) -> OdometryVerdict:
     """Judge the poses (n_scans, 3) [m, m, rad] of all scans by the odometry (n_scans, 3) at the scans, if there is any."""
     measured = odometry_of(run)
@@ -114,12 +125,7 @@ def verdict_on(
     return _judged(scans, contrast)
 
 
-def confirms_odometry(
-    scans: ScanPoints,
-    stamps: Floats,
-    poses: Floats,
-    odometry: Floats,
-) -> bool:
+def confirms_odometry(scans: ScanPoints, stamps: Floats, poses: Floats, odometry: Floats) -> bool:
     """Return whether the readings show, in most of a stretch, that the odometry is right and not the scans.
 
     Parameters
@@ -143,18 +149,18 @@ def learned_wheels(followed: TrackedRun) -> WheelParameters:
 
 def _judged(scans: ScanPoints, contrast: Contrast) -> OdometryVerdict:
     """Judge each stretch in which the odometry contradicts the scans."""
-    s, found = MOVING_RETURNS, OdometryVerdict.none(scans.n_scans)
+    found = OdometryVerdict.none(scans.n_scans)
     chosen = np.flatnonzero(contrast.is_contradiction)
     within = contrast.contradicted(scans.n_scans)
-    least = min(s.min_supporting, s.min_share * len(scans.points) / scans.n_scans)
+    least = min(MIN_SUPPORTING, MIN_SHARE * len(scans.points) / scans.n_scans)
     for start, stop in true_intervals(within):
         own = chosen[(contrast.first[chosen] >= start) & (contrast.last[chosen] < stop)]
         counts = np.array([_supporting(scans, contrast, int(one)) for one in own])
         of_scans, of_moving_scans, of_odometry, n_seen, n_through = counts.mean(axis=0)
-        is_mismatch = n_through > s.see_through * n_seen
-        if of_odometry >= max(least, 0.0 if is_mismatch else s.min_ratio * of_moving_scans):
+        is_mismatch = n_through > CLOSURES.see_through * n_seen
+        if of_odometry >= max(least, 0.0 if is_mismatch else MIN_RATIO * of_moving_scans):
             found.is_false[start:stop] = True
-            slips = (counts[:, 1] >= least) & (counts[:, 2] < s.min_ratio * counts[:, 1])
+            slips = (counts[:, 1] >= least) & (counts[:, 2] < MIN_RATIO * counts[:, 1])
             found.is_sure[start:stop] = not slips.any()
         elif of_scans < least or is_mismatch:
             off = np.abs(contrast.off[own]).max(axis=0)
@@ -193,11 +199,7 @@ def _fits(scans: ScanPoints, of: int, to: int, motion: Floats) -> tuple[Bools, B
 
 
 def _goes_along(
-    scans: ScanPoints,
-    k: int,
-    contrast: Contrast,
-    odometry: Floats,
-    wheels: WheelParameters,
+    scans: ScanPoints, k: int, contrast: Contrast, odometry: Floats, wheels: WheelParameters
 ) -> Bools:
     """Tell which points of scan k the odometry places where rays of the scans about a second before or after it crossed."""
     ends = [*contrast.last[contrast.first == k], *contrast.first[contrast.last == k]]

@@ -21,18 +21,46 @@ from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.course import Steps, with_course
+from sensorgraph.localization.course import (
+    MAX_RATIO,
+    MIN_MOVING,
+    MOVING,
+    Steps,
+    direction_of,
+    heading_factor,
+    heading_note,
+    with_course,
+    with_heading,
+)
 from sensorgraph.localization.front_end import track_part
-from sensorgraph.localization.half_angle import heading_factor, heading_note, with_heading
 from sensorgraph.localization.missing_odometry import without_corrections
 from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.odometry_settings import CHECK
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import N_REWEIGHTED, SIGNIFICANT
+from sensorgraph.localization.settings import SIGNIFICANT
 from sensorgraph.types import Floats
 
+N_SCANS = 120
+"""Number of scans of the segment that is tracked by the scans alone."""
+EVERY = 4
+"""Number of scans of a step, so that the noise of a match is small against its motion."""
+MIN_MATCHED = 0.9
+"""Minimum share of matched scans."""
+MIN_TURN, MIN_DISTANCE = 0.7, 1.0
+"""[rad], [m] Minimum motion by the scans for a comparison of turns, and of distances."""
+TOLERANCE = 0.35
+"""Maximum deviation from the factor of a unit, in the logarithm."""
+OPPOSITE = -0.6
+"""Correlation of the turns below which one of the two is mirrored."""
+MIN_AGREEING = 0.5
+"""Minimum share of steps within `MAX_RATIO`; below, the odometry is not used."""
+MAX_DIRECTION = 0.5
+"""[rad] Maximum angle between the motion by the scans and by the odometry, for a stated mount."""
+NOTED_DIRECTION = 0.035
+"""[rad] A smaller angle between these motions is not worth a note."""
+RIGHT_ANGLE = 0.1
+"""[rad] A mount with an unknown yaw within this of a multiple of 90° has exactly that yaw."""
 MAX_RADIANS = 7.0
 """[rad] A heading beyond this is in degrees, or was never wrapped."""
 DISTANCE_UNITS = {1e-3: "millimetres", 1e-2: "centimetres", 0.0254: "inches", 0.3048: "feet"}
@@ -53,7 +81,6 @@ def with_checked_odometry(run: Run) -> tuple[Run, tuple[str, ...]]:
     motion = _as_logged(run)
     if motion is None or run.n_scans < 3:
         return run, ()
-    s = CHECK
     joined, said = without_corrections(motion)
     notes = list(said)
     mended = _with_heading(run, joined, notes)
@@ -62,29 +89,29 @@ def with_checked_odometry(run: Run) -> tuple[Run, tuple[str, ...]]:
     odometry = odometry_at_scans(run, motion)
     way_factor = turn_factor = 1.0
     turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2])
-    if turns is not None and np.abs(turns.seen[:, 2]).sum() > s.min_turn:
+    if turns is not None and np.abs(turns.seen[:, 2]).sum() > MIN_TURN:
         seen, driven = turns.seen[:, 2], turns.driven[:, 2]
         turn_factor = _factor(_ratio(seen, driven), "turns", TURN_UNITS, notes)
-        is_opposite = _correlation(seen, driven) < s.opposite
+        is_opposite = _correlation(seen, driven) < OPPOSITE
         if is_opposite and _agrees(seen, -turn_factor * driven):
             ways = _ways(run, motion, 1.0)
             raise SensorgraphError(
-                _opposite_text(None if ways is None else _direction(ways.seen, ways.driven))
+                _opposite_text(None if ways is None else direction_of(ways.seen, ways.driven))
             )
         if not _agrees(seen, turn_factor * driven):
             if turns.confirms_odometry:
                 return run, (_confirmed("turns"),)
             return _without_odometry(run), (_disagreement(seen, driven, "turns", "radians"),)
     run, motion, ways = _along_course(run, motion, turn_factor, notes)
-    direction = None if ways is None else _direction(ways.seen, ways.driven)
-    limit = s.max_direction if _has_stated_mount(run) else s.right_angle
+    direction = None if ways is None else direction_of(ways.seen, ways.driven)
+    limit = MAX_DIRECTION if _has_stated_mount(run) else RIGHT_ANGLE
     if direction is not None and abs(direction[0]) > max(limit, 3.0 * direction[1]):
         run = _with_yaw(run, *direction, notes)
-    elif direction is not None and abs(direction[0]) > max(s.noted_direction, SIGNIFICANT * direction[1]):
+    elif direction is not None and abs(direction[0]) > max(NOTED_DIRECTION, SIGNIFICANT * direction[1]):
         notes.append(_turned_text(*direction))
     if ways is not None:
         seen, driven = (np.hypot(steps[:, 0], steps[:, 1]) for steps in (ways.seen, ways.driven))
-        if seen.sum() > s.min_distance:
+        if seen.sum() > MIN_DISTANCE:
             way_factor = _factor(_ratio(seen, driven), "distances", DISTANCE_UNITS, notes)
         if not _agrees(seen, way_factor * driven):
             if turn_factor == 1.0 and ways.confirms_odometry:
@@ -105,18 +132,16 @@ class _Stretch:
     """(n, 3) [m, m, rad] By the scans."""
     odometry: Floats
     """(n, 3) [m, m, rad]"""
-    every: int
-    """Number of scans of a step."""
 
     @property
     def seen(self) -> Floats:
         """Steps (m, 3) by the scans."""
-        return _steps(self.poses[:: self.every])
+        return _steps(self.poses[::EVERY])
 
     @property
     def driven(self) -> Floats:
         """Steps (m, 3) by the odometry."""
-        return _steps(self.odometry[:: self.every])
+        return _steps(self.odometry[::EVERY])
 
     @property
     def confirms_odometry(self) -> bool:
@@ -134,7 +159,7 @@ def _with_heading(run: Run, motion: Motion, notes: list[str]) -> Motion:
     if turns is None:
         return motion
     ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2])
-    if abs(np.log(ratio / factor)) > CHECK.tolerance:
+    if abs(np.log(ratio / factor)) > TOLERANCE:
         return motion
     notes.append(heading_note(factor))
     return replace(motion, poses=with_heading(motion.poses, factor))
@@ -144,52 +169,17 @@ def _along_course(
     run: Run, motion: Motion, turn_factor: float, notes: list[str]
 ) -> tuple[Run, Motion, _Stretch | None]:
     """Return the odometry with its heading along its course where the scans confirm this, and the stretch of most motion."""
-    s = CHECK
     ways = _ways(run, motion, turn_factor)
-    direction = None if ways is None else _direction(ways.seen, ways.driven)
-    if ways is None or (direction is not None and abs(direction[0]) < s.noted_direction):
+    direction = None if ways is None else direction_of(ways.seen, ways.driven)
+    if ways is None or (direction is not None and abs(direction[0]) < NOTED_DIRECTION):
         return run, motion, ways
-    steps = Steps(stamps=ways.stamps[:: s.every], seen=ways.seen, moving=s.moving, fewest=s.min_moving)
+    steps = Steps(stamps=ways.stamps[::EVERY], seen=ways.seen)
     found = with_course(motion, turn_factor, steps)
     if found is None:
         return run, motion, ways
     motion, note = found
     notes.append(note)
     return _scaled(run, motion, 1.0, 1.0), motion, _ways(run, motion, turn_factor)
-
-
-def _direction(seen: Floats, driven: Floats) -> tuple[float, float] | None:
-    """Return the angle [rad] from the odometry's motion (n, 3) to that of the scans, and its standard error.
-
-    The robot moves by b and turns by θ; its laser, at l with the yaw ψ, moves by a, all in complex numbers:
-
-        a = e^(-iψ) (b + (e^(iθ) - 1) l)
-
-    This is linear in e^(-iψ) and in e^(-iψ) l. The latter has the prior `lever`. Errors are relative to the step.
-    None if too few steps move, or if one motion does not explain the other.
-    """
-    s = CHECK
-    a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (seen, driven))
-    use = (np.abs(a) > s.moving) & (np.abs(b) > 0)
-    if use.any():
-        ratio = np.log(np.abs(b[use]) / np.abs(a[use]))
-        use[use] = np.abs(ratio - np.median(ratio)) < np.log(s.max_ratio)  # no jumps of the odometry
-    if use.sum() < s.min_moving:
-        return None
-    length = np.abs(a[use])
-    rows = np.column_stack([b[use], np.exp(1j * driven[use, 2]) - 1.0]) / length[:, None]
-    prior, wanted = np.array([[0.0, s.min_error / s.lever]]), a[use] / length
-    size = np.full(len(rows), s.min_error)
-    for _ in range(N_REWEIGHTED):  # least absolute deviations
-        scale = np.sqrt(s.min_error / np.maximum(size, s.min_error))
-        design = np.vstack([rows * scale[:, None], prior])
-        found = np.linalg.lstsq(design, np.append(wanted * scale, 0.0))[0]
-        size = np.abs(wanted - rows @ found)
-    sigma = max(float(np.median(size)) / 1.177, s.min_error)  # per component, by Rayleigh's distribution
-    if sigma > s.max_unexplained:
-        return None
-    variance = sigma**2 * np.linalg.pinv(design.conj().T @ design).real[0, 0]
-    return float(np.angle(found[0])), float(np.sqrt(variance) / max(abs(found[0]), 1e-9))
 
 
 def _opposite_text(direction: tuple[float, float] | None) -> str:
@@ -236,7 +226,7 @@ def _with_yaw(run: Run, angle: float, stderr: float, notes: list[str]) -> Run:
             "state the mount in robot.yaml"
         )
     right = np.round(-angle / (np.pi / 2)) * np.pi / 2
-    yaw = right if abs(right + angle) < CHECK.right_angle else -angle
+    yaw = right if abs(right + angle) < RIGHT_ANGLE else -angle
     x, y, old = run.sensor.mount
     notes.append(
         f"the mount of the laser is unknown, and the odometry shows that it is turned by {found}: "
@@ -254,35 +244,26 @@ def _turned_text(angle: float, stderr: float) -> str:
     )
 
 
-def _compared(
-    run: Run,
-    motion: Motion,
-    odometry: Floats,
-    moved: Floats,
-    parts: list[int],
-) -> _Stretch | None:
+def _compared(run: Run, motion: Motion, odometry: Floats, moved: Floats, parts: list[int]) -> _Stretch | None:
     """Return the stretch where `moved` (n_scans - 1,) is largest, as far as there is odometry.
 
     None if the scans alone cannot be tracked there, or do not determine these parts of a motion ahead, left and turn.
     """
-    s = CHECK
     total = np.concatenate([[0.0], np.cumsum(moved)])
-    first = int(np.argmax(total[s.n_scans :] - total[: -s.n_scans])) if len(total) > s.n_scans else 0
+    first = int(np.argmax(total[N_SCANS:] - total[:-N_SCANS])) if len(total) > N_SCANS else 0
     begin = int(np.searchsorted(run.stamps, motion.stamps[0]))
     end = int(np.searchsorted(run.stamps, motion.stamps[-1], side="right"))
-    stretch = slice(max(first, begin), min(first + s.n_scans, end))
+    stretch = slice(max(first, begin), min(first + N_SCANS, end))
     scans, found = track_part(run, stretch)
     is_seen = (np.einsum("nii->ni", found.projections)[:, parts] > 0.5).all(axis=1)  # not along a corridor
     if (
         len(is_seen) == 0
-        or min(found.matched.mean(), is_seen.mean()) < s.min_matched
+        or min(found.matched.mean(), is_seen.mean()) < MIN_MATCHED
         or (np.diff(found.piece) != 0).any()
     ):
         return None
     unwrapped = np.column_stack([found.poses[:, :2], np.unwrap(found.poses[:, 2])])
-    return _Stretch(
-        scans=scans, stamps=run.stamps[stretch], poses=unwrapped, odometry=odometry[stretch], every=s.every
-    )
+    return _Stretch(scans=scans, stamps=run.stamps[stretch], poses=unwrapped, odometry=odometry[stretch])
 
 
 def _ways(run: Run, motion: Motion, turn_factor: float) -> _Stretch | None:
@@ -316,12 +297,12 @@ def _correlation(a: Floats, b: Floats) -> float:
 
 def _agrees(seen: Floats, driven: Floats) -> bool:
     """Tell whether enough steps of the odometry are about as large as those of the scans; a few may be jumps or slip."""
-    is_moving = np.abs(seen) > CHECK.moving
-    if is_moving.sum() < CHECK.min_moving:
+    is_moving = np.abs(seen) > MOVING
+    if is_moving.sum() < MIN_MOVING:
         return True
     ratio = driven[is_moving] / seen[is_moving]
-    within = (ratio > 1 / CHECK.max_ratio) & (ratio < CHECK.max_ratio)
-    return bool(within.mean() >= CHECK.min_agreeing)
+    within = (ratio > 1 / MAX_RATIO) & (ratio < MAX_RATIO)
+    return bool(within.mean() >= MIN_AGREEING)
 
 
 def _disagreement(seen: Floats, driven: Floats, what: str, unit: str) -> str:
@@ -342,8 +323,8 @@ def _confirmed(what: str) -> str:
 def _ratio(seen: Floats, driven: Floats) -> float:
     """Return the ratio of the scans' motion to the odometry's: the median over steps, which resists single jumps."""
     seen, driven = np.abs(seen), np.abs(driven)
-    is_moving = seen > CHECK.moving
-    if is_moving.sum() < CHECK.min_moving:
+    is_moving = seen > MOVING
+    if is_moving.sum() < MIN_MOVING:
         return float(seen.sum() / max(driven.sum(), 1e-9))
     return float(1.0 / max(np.median(driven[is_moving] / seen[is_moving]), 1e-9))
 
@@ -351,7 +332,7 @@ def _ratio(seen: Floats, driven: Floats) -> float:
 def _factor(measured: float, what: str, units: dict[float, str], notes: list[str]) -> float:
     """Return the unit factor of distances or turns, and add a note; 1 if no unit matches."""
     for factor, name in units.items():
-        if abs(np.log(measured / factor)) < CHECK.tolerance:
+        if abs(np.log(measured / factor)) < TOLERANCE:
             notes.append(f"the odometry's {what} are {1 / measured:.4g} times too large: read as {name}")
             return factor
     return 1.0

@@ -7,7 +7,13 @@ M c = g of the sectors, the part b with the largest
     gain(b) = (b'g)² / b'M b
 
 must explain nearly all of g'M⁻¹g. A sweep is a ramp: where a ramp explains more than any part, there are no older rays. A part
-that is far off starts with the time at which most of its points match the others (`sector_matches`).
+that is far off starts with the time at which most of its points match the others.
+
+Points of a part that is 0.2 s older are decimetres from those of the others, where no linearised residual sees them. So
+points are counted: C[d, s, t] is the number of points of fine sector s, with its rays d later, in cells that have points of
+sector t from other frames. If a part b of the fine sectors is d later than the others, its count rises most:
+
+    count(b, d) = sum over s in b, t not in b of C[d, s, t] + C[-d, t, s] - C[0, s, t] - C[0, t, s]
 """
 
 from __future__ import annotations
@@ -19,9 +25,10 @@ import numpy as np
 
 from logs.motion import Motion
 from logs.run import RangeSensor
-from sensorgraph.localization.sector_matches import best_part
-from sensorgraph.localization.time_settings import RAY_TIMES, SCAN_LAG
-from sensorgraph.localization.turning_pieces import LinearisedPieces, TimeEstimate, TurningPieces
+from sensorgraph.localization.point_rows import FramePoints
+from sensorgraph.localization.scan_lag import MIN_LAG
+from sensorgraph.localization.scans import scan_points
+from sensorgraph.localization.turning_pieces import MIN_GAIN, LinearisedPieces, TimeEstimate, TurningPieces
 from sensorgraph.types import Bools, Floats, Ints
 
 SECTORS = 12
@@ -34,13 +41,25 @@ STEPS = 4
 """Number of Gauss-Newton steps of these times; each finds half of the rest, or more."""
 MIN_EXPLAINED = 0.9
 """Share of the gain of all sectors that a part must explain; of a ramp it explains at most 3/4."""
+FINE_SECTORS = 48
+"""Number of sectors in which points are counted. Ends of a part within larger ones hide it."""
+CELL = 0.1
+"""[m] Side of a cell: noise and curvature of the track stay within it, 50 ms of a turn do not."""
+TIMES = np.arange(-6, 7) * 0.05
+"""(13,) [s] Times that are tried."""
+_ROW = 1_000_003
+"""Number of cells in a row of the map, at most."""
 
-_SECTOR = np.arange(1, SECTORS)
-PATTERNS = np.array([
-    *((first <= _SECTOR) & (end > _SECTOR) for first in range(1, SECTORS) for end in range(first + 1, SECTORS + 1)),
-    _SECTOR / SECTORS,
-], dtype=np.float64)  # fmt: skip
+
+def _parts(n: int) -> Bools:
+    """Return the parts (n_parts, n) of n sectors that do not hold the first one."""
+    ends = [(first, end) for first in range(1, n) for end in range(first + 1, n + 1)]
+    return np.array([(first <= np.arange(n)) & (end > np.arange(n)) for first, end in ends])
+
+
+PATTERNS = np.vstack([_parts(SECTORS)[:, 1:].astype(np.float64), np.arange(1, SECTORS) / SECTORS])
 """Times of the sectors relative to the first one: of each part, and last of a ramp."""
+_PARTS = _parts(FINE_SECTORS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,11 +88,7 @@ class OlderRays:
 
 
 def identify_older_rays(
-    sensor: RangeSensor,
-    pieces: TurningPieces,
-    start: LinearisedPieces,
-    motion: Motion,
-    widening: float,
+    sensor: RangeSensor, pieces: TurningPieces, start: LinearisedPieces, motion: Motion, widening: float
 ) -> OlderRays | None:
     """Return the part of the rays that is older than the others; None if the run shows none.
 
@@ -94,21 +109,21 @@ def identify_older_rays(
     for step in range(MAX_STEPS):
         found = equations.estimate(basis)
         values = values + found.change
-        if step == 0 and np.ptp(np.append(values, 0.0)) < 0.5 * SCAN_LAG.min_lag:  # it finds half, or more
+        if step == 0 and np.ptp(np.append(values, 0.0)) < 0.5 * MIN_LAG:  # it finds half, or more
             return None
         *of_parts, of_ramp = _gains(values, found)
         if of_ramp > max(of_parts):
             return None
-        if np.abs(found.change).max() < 0.1 * SCAN_LAG.min_lag:
+        if np.abs(found.change).max() < 0.1 * MIN_LAG:
             break
         equations = rays.linearised(basis @ values)
-    is_settled = np.abs(found.change).max() < SCAN_LAG.min_lag
+    is_settled = np.abs(found.change).max() < MIN_LAG
     if not is_settled or not _is_one_part(values, found, widening):
         return None
     times = np.append(0.0, values)
     is_older = times < 0.5 * (times.min() + times.max())
     older, age = is_older[sector], _age(times, is_older)
-    if age < SCAN_LAG.min_lag or (np.diff(older.astype(np.int8)) != 0).sum() > 2:
+    if age < MIN_LAG or (np.diff(older.astype(np.int8)) != 0).sum() > 2:
         return None
     older = rays.with_sharp_ends(older, age)
     for _ in range(STEPS):  # a time for each sector, so that ends that are a few rays off do not matter
@@ -180,7 +195,7 @@ def _is_one_part(values: Floats, found: TimeEstimate, widening: float) -> bool:
     weights = PATTERNS[best] @ found.information
     other = float(weights @ values) ** 2 / float(weights @ found.covariance @ weights)
     is_most = gains[best] > MIN_EXPLAINED * float(values @ found.information @ values)
-    return is_most and other > widening * RAY_TIMES.min_gain
+    return is_most and other > widening * MIN_GAIN
 
 
 def _age(times: Floats, is_older: Bools) -> float:
@@ -197,3 +212,48 @@ def _sectors(part: Bools) -> Ints:
     first = np.cumsum(counts) - counts
     zones = [np.arange(size) * n // size + at for size, n, at in zip(sizes, counts, first, strict=True)]
     return np.concatenate(zones)
+
+
+def best_part(pieces: TurningPieces, poses: Floats, delays: Floats, motion: Motion) -> tuple[Bools, float]:
+    """Return the rays (n_rays,) and the time [s] with which they match the others best; 0.0 if no other time is better.
+
+    Parameters
+    ----------
+    poses : (n_frames, 3) of the pieces.
+    delays : (n_rays,) [s]
+    """
+    sector = np.arange(len(delays)) * FINE_SECTORS // len(delays)
+    matches = _matches(pieces, poses, delays, motion, sector)
+    inside, outside = _PARTS.astype(np.float64), (~_PARTS).astype(np.float64)
+    later = np.einsum("ps,dst,pt->pd", inside, matches, outside, optimize=True)
+    found = later + np.einsum("pt,dts,ps->pd", outside, matches[::-1], inside, optimize=True)
+    gains = found - found[:, len(TIMES) // 2, None]
+    part, time = np.unravel_index(np.argmax(gains), gains.shape)
+    return np.asarray(_PARTS[part][sector]), float(TIMES[time]) if gains[part, time] > 0 else 0.0
+
+
+def _matches(pieces: TurningPieces, poses: Floats, delays: Floats, motion: Motion, sector: Ints) -> Floats:
+    """Return the counts M (n_times, FINE_SECTORS, FINE_SECTORS). Even and odd frames are compared with each other."""
+    placed = [_cells(pieces, poses, delays + time, motion, sector) for time in TIMES]
+    out = np.zeros((len(TIMES), FINE_SECTORS, FINE_SECTORS))
+    for is_odd in (False, True):
+        cells, odd, sectors = placed[len(TIMES) // 2]
+        known, index = np.unique(cells[odd == is_odd], return_inverse=True)
+        has = np.zeros((len(known) + 1, FINE_SECTORS))  # the last row is for all other cells
+        has[index, sectors[odd == is_odd]] = 1.0
+        known = np.append(known, np.iinfo(np.int64).max)
+        for count, (cells, odd, sectors) in zip(out, placed, strict=True):
+            asked = cells[odd != is_odd]
+            at = np.searchsorted(known, asked)
+            np.add.at(count, sectors[odd != is_odd], has[np.where(known[at] == asked, at, len(known) - 1)])
+    return out
+
+
+def _cells(
+    pieces: TurningPieces, poses: Floats, delays: Floats, motion: Motion, sector: Ints
+) -> tuple[Ints, Bools, Ints]:
+    """Return the cell of each point, whether its frame is odd, and its sector."""
+    scans = scan_points(pieces.run, motion, delays=delays)
+    frames = FramePoints.of(scans, np.arange(scans.n_scans))
+    x, y = np.floor(frames.placed(poses)[0] / CELL).astype(np.int64).T
+    return x * _ROW + y, frames.frame % 2 == 1, sector[scans.rays]

@@ -9,7 +9,8 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.localization.line_map import (
     FACING,
-    LineMap,
+    SAME_SIDE,
+    Table,
     bucket_key,
     find_slot,
     fit_line,
@@ -17,7 +18,6 @@ from sensorgraph.localization.line_map import (
     line_map,
     thinned,
 )
-from sensorgraph.localization.settings import MATCH
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -47,67 +47,26 @@ def cut_patches(points: Floats, normals: Floats, side: float, roundness: float) 
     sure = (normals**2).sum(axis=1) > 0.25
     middles, towards = thinned(points[sure], normals[sure], side)
     lines = np.zeros((len(middles), 4))
-    _fit(middles, towards, side, roundness, fine, lines)
+    _fit_lines(
+        np.ascontiguousarray(middles), np.ascontiguousarray(towards), side, roundness, fine.table, lines
+    )
     good = lines[:, 2] ** 2 + lines[:, 3] ** 2 > 0
     middles, towards, directions = lines[good, :2], towards[good], lines[good, 2:]
     rough = line_map(middles, towards, side=side)
     kept = np.zeros(len(middles), dtype=np.bool_)
-    _suppress(
-        rough.keys, rough.first, rough.counts, rough.points, rough.normals, side, 0.6 * side, kept
-    )  # indices are in bucket order
-    order = rough.order[kept]
+    _suppress(rough.table, 0.6 * side, kept)
+    order = rough.order[kept]  # `kept` is in bucket order
     return Patches(middles=middles[order], normals=directions[order], towards=towards[order], side=side)
-
-
-def _fit(
-    middles: Floats, towards: Floats, side: float, roundness: float, fine: LineMap, lines: Floats
-) -> None:
-    _fit_lines(
-        np.ascontiguousarray(middles),
-        np.ascontiguousarray(towards),
-        side,
-        roundness,
-        MATCH.same_side,
-        fine.side,
-        fine.keys,
-        fine.first,
-        fine.counts,
-        fine.points,
-        fine.normals,
-        lines,
-    )
 
 
 @kernel
 def _fit_lines(
-    middles: Floats,
-    towards: Floats,
-    radius: float,
-    roundness: float,
-    same_side: float,
-    side: float,
-    keys: Ints,
-    first: Ints,
-    counts: Ints,
-    points: Floats,
-    normals: Floats,
-    lines: Floats,
+    middles: Floats, towards: Floats, radius: float, roundness: float, table: Table, lines: Floats
 ) -> None:
+    """Fit a line around each middle (n, 2); (n, 4): its point next to the middle and its normal, zeros without a line."""
     for k in range(len(middles)):
         w, cx, cy, nx, ny, across, along = fit_line(
-            middles[k, 0],
-            middles[k, 1],
-            towards[k, 0],
-            towards[k, 1],
-            radius,
-            same_side,
-            side,
-            keys,
-            first,
-            counts,
-            points,
-            normals,
-            FACING,
+            middles[k, 0], middles[k, 1], towards[k, 0], towards[k, 1], radius, table
         )
         if w > 1.0 and across < roundness * along:
             off = nx * (middles[k, 0] - cx) + ny * (middles[k, 1] - cy)
@@ -116,17 +75,9 @@ def _fit_lines(
 
 
 @kernel
-def _suppress(
-    keys: Ints,
-    first: Ints,
-    counts: Ints,
-    points: Floats,
-    normals: Floats,
-    side: float,
-    apart: float,
-    kept: Bools,
-) -> None:
+def _suppress(table: Table, apart: float, kept: Bools) -> None:
     """Keep each point without a kept point of the same side within `apart` [m]."""
+    side, _, keys, first, counts, points, normals = table
     for slot in range(len(keys)):
         for k in range(first[slot], first[slot] + counts[slot]):
             bx, by = int(np.floor(points[k, 0] / side)), int(np.floor(points[k, 1] / side))
@@ -155,13 +106,7 @@ def assign(points: Floats, normals: Floats, patches: Patches, gate: float) -> In
         np.ascontiguousarray(points),
         np.ascontiguousarray(normals),
         gate,
-        MATCH.same_side,
-        patches.side,
-        buckets.keys,
-        buckets.first,
-        buckets.counts,
-        buckets.points,
-        buckets.normals,
+        buckets.table,
         patches.normals[buckets.order],
         nearest,
     )
@@ -169,20 +114,8 @@ def assign(points: Floats, normals: Floats, patches: Patches, gate: float) -> In
 
 
 @kernel
-def _assign(
-    points: Floats,
-    normals: Floats,
-    gate: float,
-    same_side: float,
-    side: float,
-    keys: Ints,
-    first: Ints,
-    counts: Ints,
-    middles: Floats,
-    towards: Floats,
-    lines: Floats,
-    nearest: Ints,
-) -> None:
+def _assign(points: Floats, normals: Floats, gate: float, table: Table, lines: Floats, nearest: Ints) -> None:
+    side, _, keys, first, counts, middles, towards = table
     for k in range(len(points)):
         x, y, nx, ny = points[k, 0], points[k, 1], normals[k, 0], normals[k, 1]
         bx, by = int(np.floor(x / side)), int(np.floor(y / side))
@@ -194,7 +127,7 @@ def _assign(
                     dx, dy = x - middles[j, 0], y - middles[j, 1]
                     if abs(lines[j, 0] * dx + lines[j, 1] * dy) > gate or dx * dx + dy * dy >= least:
                         continue
-                    if not is_same_side(nx, ny, towards[j, 0], towards[j, 1], same_side, FACING):
+                    if not is_same_side(nx, ny, towards[j, 0], towards[j, 1], SAME_SIDE, FACING):
                         continue
                     least = dx * dx + dy * dy
                     nearest[k] = j

@@ -1,7 +1,7 @@
 """Linearised residuals of points on surface patches, with respect to poses and lines.
 
 With patch p of point k, the residual is r_k = n_p · (T(pose) point_k - centre_p). `by_pose` and `by_line`
-hold its derivatives.
+hold its derivatives. A cluster holds the residuals of the points of one key frame on one patch.
 """
 
 from __future__ import annotations
@@ -13,10 +13,16 @@ import numpy as np
 from sensorgraph.localization.patches import assign, cut_patches
 from sensorgraph.localization.scan_track import determines_all
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import MATCH, REFINEMENT, SIGNIFICANT
+from sensorgraph.localization.settings import MIN_NOISE, SIGNIFICANT
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
+SHRINKAGE = 10.0
+"""Weight, in points, of the noise of all patches in the noise of one."""
+ROUNDNESS = 0.25
+"""Ratio of the variances across and along above which points form no patch."""
+MIN_POINTS = 4.0
+"""Minimum number of points of a patch."""
 NEAR = 16
 """Number of key frames before and after whose patches determine the direction of a corridor."""
 
@@ -81,8 +87,6 @@ class PointRows:
     """(n, 3) Derivative of the residual with respect to the pose."""
     by_line: Floats
     """(n, 2) Derivative with respect to offset and direction of the line."""
-    noise: float
-    """[m] Scatter of a point around its patch."""
     surface: Floats
     """(n_points, 2) [m] All points in map; a point with a patch is projected onto its line."""
     projections: Floats | None
@@ -90,21 +94,15 @@ class PointRows:
     all."""
 
 
-def point_rows(
-    frames: FramePoints,
-    poses: Floats,
-    side: float,
-    gate: float,
-    sigma: float,
-) -> PointRows:
+def point_rows(frames: FramePoints, poses: Floats, side: float, gate: float, sigma: float) -> PointRows:
     """Cut the surfaces into patches, and linearise the residuals of the points at the poses (n_frames, 3)."""
     points, normals = frames.placed(poses)
     surface = points.copy()
-    patch_map = cut_patches(points, normals, side, REFINEMENT.roundness)
+    patch_map = cut_patches(points, normals, side, ROUNDNESS)
     patch = assign(points, normals, patch_map, gate)
     used = np.flatnonzero(patch >= 0)
     patch, frame, points = patch[used], frames.frame[used], points[used]
-    weight, residual, along, normal, noise = _fit_patches(points, patch, frame, patch_map.normals, sigma)
+    weight, residual, along, normal = _fit_patches(points, patch, frame, patch_map.normals, sigma)
     kept = weight > 0
     surface[used[kept]] -= residual[kept, None] * normal[kept]
     patch, frame, points = patch[kept], frame[kept], points[kept]
@@ -128,7 +126,6 @@ def point_rows(
         residual=residual,
         by_pose=by_pose,
         by_line=np.column_stack([-np.ones(len(along)), -along]),
-        noise=noise,
         surface=surface,
         projections=projections,
     )
@@ -187,7 +184,7 @@ def _is_straight(blocks: Floats) -> bool:
 
 def _fit_patches(
     points: Floats, patch: Ints, frame: Ints, normals: Floats, sigma: float
-) -> tuple[Floats, Floats, Floats, Floats, float]:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Fit the line of each patch to its points by iteratively reweighted least squares.
 
     The weight of a point is 1 / (1 + r² / (4 max(scale, sigma²))); the variance `scale` of a patch shrinks
@@ -195,13 +192,11 @@ def _fit_patches(
 
     Returns
     -------
-    Weights (n,) [1/m²], residuals (n,) [m], positions along the patch (n,) [m], normals (n, 2), and the
-    overall noise [m].
+    Weights (n,) [1/m²], residuals (n,) [m], positions along the patch (n,) [m], and normals (n, 2).
     """
     m = len(normals)
     soft = np.ones(len(points))
     scale = np.full(m, sigma**2)
-    noise = sigma
     residual = along = np.zeros(len(points))
     normal = normals[patch]
     for _ in range(3):
@@ -218,25 +213,94 @@ def _fit_patches(
         normal = line_normals[patch]
         residual = np.einsum("ij,ij->i", off, normal)
         along = -off[:, 0] * normal[:, 1] + off[:, 1] * normal[:, 0]
-        noise = min(
-            max(robust_sigma(residual) if len(residual) else sigma, MATCH.min_noise),
-            sigma,
-        )
+        noise = min(max(robust_sigma(residual) if len(residual) else sigma, MIN_NOISE), sigma)
         count = np.bincount(patch, minlength=m)
-        scale = (REFINEMENT.shrinkage * noise**2 + total * across) / (REFINEMENT.shrinkage + total)
+        scale = (SHRINKAGE * noise**2 + total * across) / (SHRINKAGE + total)
         soft = 1.0 / (1.0 + residual**2 / (4.0 * np.maximum(scale, sigma**2)[patch]))
     # a patch of one frame does not constrain poses, a round one has no direction
     pairs = np.unique(frame * m + patch)
     n_frames = np.bincount(pairs % m, minlength=m)
-    good = (n_frames > 1) & (across < REFINEMENT.roundness * length) & (count >= REFINEMENT.min_points)
+    good = (n_frames > 1) & (across < ROUNDNESS * length) & (count >= MIN_POINTS)
     # centred with the last weights: offset and direction of a line become independent
     total = np.bincount(patch, soft, m) + 1e-12
     along = along - (np.bincount(patch, soft * along, m) / total)[patch]
     residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
-    weight = np.where(good[patch], soft / np.maximum(scale, MATCH.min_noise**2)[patch], 0.0)
-    return weight, residual, along, normal, noise
+    weight = np.where(good[patch], soft / np.maximum(scale, MIN_NOISE**2)[patch], 0.0)
+    return weight, residual, along, normal
 
 
 def sums_by(index: Ints, values: Floats, n: int) -> Floats:
     """Return the sums (n,) of values (k,) by index."""
     return np.asarray(np.bincount(index, values, n), dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeanResiduals:
+    """Mean residual of each cluster, in the order of frame and patch."""
+
+    frame: Ints
+    """(n,) Key frame."""
+    patch: Ints
+    """(n,) Patch."""
+    count: Ints
+    """(n,) Number of points."""
+    middle: Floats
+    """(n, 2) [m] Mean of the points in map."""
+    facing: Floats
+    """(n, 2) Unit normal of the patch towards the robot."""
+    residual: Floats
+    """(n,) Mean residual towards the robot, in standard deviations of a point."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ResidualClusters(MeanResiduals):
+    """Sums over the points of each cluster."""
+
+    weight: Floats
+    """(n,) [1/m²] Sum of the weights."""
+    scores: Floats
+    """(n, 3) Sum of weighted residuals times the derivative with respect to the pose."""
+    line_scores: Floats
+    """(n, 2) The same for the line."""
+    by_pose: Floats
+    """(n, 3) Sum of weighted derivatives with respect to the pose."""
+    by_line: Floats
+    """(n, 2) The same for the line."""
+    side: Floats
+    """(n,) 1 where a positive residual is towards the robot, else -1."""
+
+    @property
+    def deviation(self) -> Floats:
+        """(n,) [m] Standard deviation of a point."""
+        return np.sqrt(self.count / self.weight)
+
+
+def clusters_of(rows: PointRows, poses: Floats) -> tuple[ResidualClusters, Ints]:
+    """Return the clusters at poses (n_frames, 3), and the cluster of each row (n_rows,)."""
+    keys, cluster = np.unique(rows.frame * rows.n_patches + rows.patch, return_inverse=True)
+    frame, patch = keys // max(rows.n_patches, 1), keys % max(rows.n_patches, 1)
+    n, w = len(keys), rows.weight
+
+    def sums(columns: Floats) -> Floats:
+        return np.column_stack([sums_by(cluster, column, n) for column in columns.T])
+
+    count, weight = np.bincount(cluster, minlength=n), sums_by(cluster, w, n)
+    middle = sums(rows.points) / count[:, None]
+    normal = np.zeros((n, 2))
+    normal[cluster] = rows.normals
+    side = np.where(np.einsum("ni,ni->n", poses[frame, :2] - middle, normal) < 0, -1.0, 1.0)
+    weighted = w * rows.residual
+    return ResidualClusters(
+        frame=frame,
+        patch=patch,
+        count=count,
+        weight=weight,
+        scores=sums(weighted[:, None] * rows.by_pose),
+        line_scores=sums(weighted[:, None] * rows.by_line),
+        by_pose=sums(w[:, None] * rows.by_pose),
+        by_line=sums(w[:, None] * rows.by_line),
+        middle=middle,
+        facing=normal * side[:, None],
+        side=side,
+        residual=side * sums_by(cluster, weighted, n) / np.sqrt(weight * count),
+    ), cluster

@@ -18,8 +18,14 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.settings import GRAPH
 from sensorgraph.types import Bools, Floats, Ints
+
+CAUCHY = 1.0
+"""Residual [standard deviations] at which Cauchy's weight of a closure is 1/2 during mapping."""
+TOLERANCE = 1e-4
+"""Relative decrease of the error at which the optimization stops."""
+INLIER_PROBABILITY = 0.999
+"""Chi-squared probability within which a closure is an inlier."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,13 +58,7 @@ class PoseEdges:
 class PoseGraph:
     """Steps of a track with changing loop closures; it can be solved repeatedly."""
 
-    def __init__(
-        self,
-        poses: Floats,
-        steps: PoseEdges,
-        *,
-        is_doubtful: Bools | None = None,
-    ) -> None:
+    def __init__(self, poses: Floats, steps: PoseEdges, *, is_doubtful: Bools | None = None) -> None:
         """Take initial poses and the steps.
 
         Parameters
@@ -67,7 +67,6 @@ class PoseGraph:
         steps : Edges between neighbours of the track; they count as inliers.
         is_doubtful : (n_steps,) Steps that closures can contradict; None: no step.
         """
-        self.settings = GRAPH
         self.poses = poses.copy()
         rows, doubtful = _rows(steps), np.zeros(len(steps), np.bool_) if is_doubtful is None else is_doubtful
         self._steps = [_factor(row, None) for row, bad in zip(rows, doubtful, strict=True) if not bad]
@@ -81,11 +80,11 @@ class PoseGraph:
     def solve(self, closures: PoseEdges) -> Floats:
         """Return the poses (n, 3) with Cauchy's function on the closures, and keep them as the next start."""
         graph = self._graph()
-        cauchy = _gtsam().noiseModel.mEstimator.Cauchy(self.settings.cauchy)
+        cauchy = _gtsam().noiseModel.mEstimator.Cauchy(CAUCHY)
         for row in (*self._doubtful, *_rows(closures)):
             graph.add(_factor(row, cauchy))
         parameters = _gtsam().LevenbergMarquardtParams()
-        parameters.setRelativeErrorTol(self.settings.tolerance)
+        parameters.setRelativeErrorTol(TOLERANCE)
         result = _gtsam().LevenbergMarquardtOptimizer(graph, self._values(), parameters).optimize()
         self.poses = self._read(result)
         return self.poses
@@ -101,7 +100,7 @@ class PoseGraph:
         parameters = _gtsam().GncLMParams()
         parameters.setKnownInliers(list(range(n_known)))
         optimizer = _gtsam().GncLMOptimizer(graph, self._values(), parameters)
-        optimizer.setInlierCostThresholdsAtProbability(self.settings.inlier_probability)
+        optimizer.setInlierCostThresholdsAtProbability(INLIER_PROBABILITY)
         result = optimizer.optimize()
         self.poses = self._read(result)
         is_inlier = np.asarray(optimizer.getWeights())[n_known:] > 0.5

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
+from scipy.special import chdtri, ndtr, stdtrit
 
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
@@ -24,14 +24,30 @@ from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.older_rays import identify_older_rays
-from sensorgraph.localization.scan_lag import N_STEPS, ScanLag, scan_lag, with_stamp_of
+from sensorgraph.localization.scan_lag import LATENCY, MIN_LAG, N_STEPS, ScanLag, scan_lag, with_stamp_of
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
-from sensorgraph.localization.settings import FRONT_END
-from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES, SCAN_LAG
-from sensorgraph.localization.turning_pieces import LinearisedPieces, TurningPieces, sweep_basis
+from sensorgraph.localization.turning_pieces import (
+    CLASSES,
+    MIN_GAIN,
+    MIN_PIECES,
+    PIECE_FRAMES,
+    LinearisedPieces,
+    TurningPieces,
+    sweep_basis,
+)
 from sensorgraph.types import Floats, Progress
 
+STEPS = 10
+"""Maximum number of Gauss-Newton steps. Points are deskewed again before each, because smeared surfaces hide a fifth of the
+effect; from the opposite direction most of it."""
+SETTLED = 1.0
+"""Squared step, in standard errors, below which the iteration ends."""
+MOTION_ERROR = 0.1
+"""Relative error of the odometry velocity within a scan, and thus of the times."""
+AGREES, MAX_DISTANCE = (float(chdtri(CLASSES, p)) for p in (0.05, 0.001))
+"""Squared Mahalanobis distances: up to the first, the times of the log are kept after the first step; up to the second, an
+estimate may be that of a laser. 95 % and 99.9 % of chi-squared with the time of each class."""
 ROUNDS = 3
 """Maximum number of times that ray times and bearings are estimated in turn."""
 MIRRORS = {"SICK LMS 2xx": 1 / 75, "SICK PLS": 1 / 25}
@@ -103,10 +119,7 @@ def track_run(run: Run, progress: Progress) -> TrackedRun:
 
 
 def _corrected(
-    sensor: RangeSensor,
-    pieces: TurningPieces,
-    motion: Motion,
-    turned: float | None,
+    sensor: RangeSensor, pieces: TurningPieces, motion: Motion, turned: float | None
 ) -> tuple[RangeSensor, tuple[str, ...]]:
     """Return the sensor with the ray times and the bearings that the run shows, and notes about them.
 
@@ -127,7 +140,7 @@ def _corrected(
         here = replace(pieces, run=replace(pieces.run, sensor=scaled))
         timed, start, notes = _with_ray_times(scaled, here, motion, widening)
     off = abs(scale.value - 1.0)
-    if off < LEAST or off**2 <= widening * RAY_TIMES.min_gain * scale.stderr**2:
+    if off < LEAST or off**2 <= widening * MIN_GAIN * scale.stderr**2:
         return as_stated
     return timed, (scale.line, *notes)
 
@@ -161,17 +174,17 @@ def _at_equal_times(
 ) -> tuple[ScanLag, Floats, ScanTrack]:
     """Return the lag of the scans, the odometry at their times, and the track.
 
-    As a prior, late odometry bends the track towards its own lag. Beyond `latency`, the scans are tracked again with the
+    As a prior, late odometry bends the track towards its own lag. Beyond `LATENCY`, the scans are tracked again with the
     odometry at their times until the lag stays.
 
     Parameters
     ----------
     measured, motion : The odometry without and with the stretches that the scans fill.
     """
-    for _ in range(N_STEPS if abs(lag.value) > SCAN_LAG.latency else 0):
+    for _ in range(N_STEPS if abs(lag.value) > LATENCY else 0):
         tracked = track(scans, run.stamps, motion.at(run.stamps + lag.value), progress)
         last, lag = lag, scan_lag(run, measured, tracked) or lag
-        if abs(lag.value - last.value) < SCAN_LAG.min_lag:
+        if abs(lag.value - last.value) < MIN_LAG:
             break
     return lag, motion.at(run.stamps + lag.value), tracked
 
@@ -180,15 +193,10 @@ def _with_more_key_frames(
     tracked: ScanTrack, scans: ScanPoints, stamps: Floats, odometry: Floats | None
 ) -> ScanTrack:
     """Track a short log again with key frames so close together that they suffice for the pieces."""
-    share = len(tracked.key_frames) / (RAY_TIMES.min_pieces * RAY_TIMES.frames)
+    share = len(tracked.key_frames) / (MIN_PIECES * PIECE_FRAMES)
     if share >= 1:
         return tracked
-    closer = replace(
-        FRONT_END,
-        key_frame_distance=share * FRONT_END.key_frame_distance,
-        key_frame_turn=share * FRONT_END.key_frame_turn,
-    )
-    return track(scans, stamps, odometry, lambda done, total: None, closer)
+    return track(scans, stamps, odometry, lambda done, total: None, spacing=share)
 
 
 def motion_of_track(run: Run, tracked: ScanTrack, deskewed_by: Motion | None = None) -> Motion:
@@ -290,10 +298,7 @@ def _values(sensor: RangeSensor) -> Floats:
 
 
 def identify_ray_times(
-    sensor: RangeSensor,
-    pieces: TurningPieces,
-    start: LinearisedPieces,
-    motion: Motion,
+    sensor: RangeSensor, pieces: TurningPieces, start: LinearisedPieces, motion: Motion
 ) -> RayTimes | None:
     """Estimate sweep time and class delays; return the ray times that match them, or None to keep those of the log.
 
@@ -307,14 +312,14 @@ def identify_ray_times(
     if CLASSES % sensor.interlaced_sweeps:
         return None
     values, basis, equations = _values(sensor), sweep_basis(sensor.n_rays), start
-    for step in range(RAY_TIMES.steps):
+    for step in range(STEPS):
         found = equations.estimate(basis)
         change, covariance = found.change, found.covariance
         values = values + change
         covariance += np.eye(CLASSES) * (values[0] / len(basis)) ** 2  # to the time of a ray
         if step == 0 and _agrees(sensor, values, covariance):
             return None
-        if change @ np.linalg.solve(covariance, change) < RAY_TIMES.settled:
+        if change @ np.linalg.solve(covariance, change) < SETTLED:
             break
         equations = pieces.linearised(basis @ values, motion)
     errors = np.sqrt(np.diag(covariance))
@@ -324,16 +329,16 @@ def identify_ray_times(
 
 def _small_sample(n_pieces: int) -> float:
     """Return the factor of a covariance from few pieces: Student's t, not the normal distribution, at the decision."""
-    z = np.sqrt(RAY_TIMES.min_gain)
+    z = np.sqrt(MIN_GAIN)
     return float(stdtrit(n_pieces - 1, ndtr(-z)) / z) ** 2
 
 
 def _distance(expected: Floats, values: Floats, covariance: Floats) -> float:
     """Return the squared Mahalanobis distance of an estimate (4,) from expected values (4,).
 
-    The motion has a relative error of `motion_error`, so that a class delay shorter than this share of a mirror period may be zero.
+    The motion has a relative error of `MOTION_ERROR`, so that a class delay shorter than this share of a mirror period may be zero.
     """
-    own = covariance + np.diag((RAY_TIMES.motion_error * np.maximum(np.abs(expected), SCALES)) ** 2)
+    own = covariance + np.diag((MOTION_ERROR * np.maximum(np.abs(expected), SCALES)) ** 2)
     off = values - expected
     return float(off @ np.linalg.solve(own, off))
 
@@ -344,10 +349,10 @@ def _agrees(sensor: RangeSensor, values: Floats, covariance: Floats) -> bool:
     Opposite times smear the surfaces, so that the step is short and its standard errors are wide. A wide estimate
     confirms stated times only if it also excludes that there are none.
     """
-    if _distance(_values(sensor), values, covariance) >= RAY_TIMES.agrees:
+    if _distance(_values(sensor), values, covariance) >= AGREES:
         return False
     none = np.zeros(CLASSES)
-    return not sensor.has_ray_delays or _distance(none, values, covariance) >= RAY_TIMES.min_gain
+    return not sensor.has_ray_delays or _distance(none, values, covariance) >= MIN_GAIN
 
 
 def _judge(sensor: RangeSensor, values: Floats, errors: Floats, covariance: Floats) -> RayTimes | None:
@@ -365,11 +370,11 @@ def _judge(sensor: RangeSensor, values: Floats, errors: Floats, covariance: Floa
     )
     (best, name, found), second = judged[0], judged[1]
     as_logged = _distance(_values(sensor), values, covariance)
-    is_clear = best <= RAY_TIMES.max_distance and min(as_logged, second[0]) - best >= RAY_TIMES.min_gain
+    is_clear = best <= MAX_DISTANCE and min(as_logged, second[0]) - best >= MIN_GAIN
     if not is_clear:
         one_sweep = np.array([values[0], 0.0, 0.0, 0.0])
-        is_one_sweep = _distance(one_sweep, values, covariance) <= RAY_TIMES.max_distance
-        if not is_stated or not is_one_sweep or as_logged < RAY_TIMES.min_gain:
+        is_one_sweep = _distance(one_sweep, values, covariance) <= MAX_DISTANCE
+        if not is_stated or not is_one_sweep or as_logged < MIN_GAIN:
             return None
         plain = replace(sensor, interlaced_sweeps=1, sweep_period=0.0, first_ray_delay=0.0)
         name, found = "unlike in the log", replace(plain, sweep_time=float(values[0]))

@@ -5,12 +5,17 @@ Gauss-Newton minimises, over the poses x_f, the lines l_p of the patches and the
     sum_k weight_k residual_k(x_f, l_p)²  +  sum_e |r_e(x_a, x_b, q)|²_I_e  +  |q - q_0|²_prior.
 
 Here k runs over points with Cauchy weights, and e over the wheel edges. The parameters q_0 are those of wheels
-without error; each step linearises about the q that are identified from the current poses. Lines and wheel parameters are eliminated exactly (Ruhnke et al. 2011; Liu and Zhang
-2021), so that only poses remain. The reduced normal matrix, with the names of `ReducedSystem`, is
+without error; each step linearises about the q that are identified from the current poses. Lines and wheel parameters are
+eliminated exactly (Ruhnke et al. 2011; Liu and Zhang 2021), so that only poses remain. The reduced normal matrix, with the names of `ReducedSystem`, is
 
     blocks - coupling inverse couplingᵀ + wheels - wheel_coupling wheel_inverse wheel_couplingᵀ.
 
-It is never formed: conjugate gradients solve the system, with the pose graph as preconditioner.
+It is never formed: conjugate gradients solve the system H x = rhs, with the pose graph M as preconditioner (Hestenes and
+Stiefel 1952). From the residual r = rhs - H x and z = M⁻¹ r, a step is
+
+    α = rᵀz / pᵀH p,  x += α p,  r -= α H p,  z = M⁻¹ r,  p = z + (rᵀz / r'ᵀz') p,
+
+where r' and z' are those before the step.
 """
 
 from __future__ import annotations
@@ -22,13 +27,32 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.clusters import ResidualClusters, clusters_of
-from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
+from sensorgraph.localization.point_rows import (
+    FramePoints,
+    PointRows,
+    ResidualClusters,
+    clusters_of,
+    point_rows,
+    sums_by,
+)
 from sensorgraph.localization.pose_graph import PoseEdges
-from sensorgraph.localization.settings import REFINEMENT
+from sensorgraph.localization.scan_track import step_derivatives
 from sensorgraph.localization.wheel_edges import WheelEdges, WheelSteps
 from sensorgraph.types import Floats, Ints, Progress
 
+ITERATIONS = 8
+"""Number of Gauss-Newton steps; the patches are cut anew before each."""
+SIDE = (0.30, 0.20)
+"""[m] Initial spacing of the surface patches, and that in the last iterations."""
+GATE = (0.25, 0.10)
+"""[m] Distances from a patch's line within which points belong to it, in the same order."""
+SIGMA = (0.10, 0.02)
+"""[m] Scales of Cauchy's weight, which is 1/2 at twice this distance, in the same order. The first is large so that displaced
+visits attract each other; the last is larger where a patch is rougher."""
+TOLERANCE = 1e-3
+"""Relative residual at which conjugate gradients stop ..."""
+MAX_STEPS = 300
+"""... and their maximum number of steps."""
 MAX_TURN = 0.5
 """[rad] Largest turn of a key frame in one step: sin and cos are off their linearisation by an eighth."""
 
@@ -58,13 +82,8 @@ class ReducedSystem:
     """(3 n_edges, 3 n_frames) Derivatives of the residuals of the edges."""
     edge_residuals: Floats
     """(n_edges, 3)"""
-    noise: float
-    """[m] Scatter of a point around its patch."""
-    surface: Floats
-    """(n_points, 2) [m] All points in map; a point with a patch is projected onto its line."""
-    projections: Floats | None
-    """(n_frames, 3, 3) Projection of a motion x, y, phi in map onto the directions that the scan determines; None:
-    all."""
+    rows: PointRows
+    """The points on patches."""
 
     def times(self, x: Floats) -> Floats:
         """Return the product of the reduced normal matrix and x (3 n_frames, m)."""
@@ -84,15 +103,7 @@ def edge_system(poses: Floats, edges: PoseEdges) -> tuple[sparse.csr_array, Floa
     a, b = poses[edges.first], poses[edges.second]
     residuals = compose(invert(a), b) - edges.relative
     residuals[:, 2] = wrap(residuals[:, 2])
-    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
-    d = b[:, :2] - a[:, :2]
-    second = np.zeros((m, 3, 3))
-    second[:, 0, 0], second[:, 0, 1] = cos, sin
-    second[:, 1, 0], second[:, 1, 1] = -sin, cos
-    second[:, 2, 2] = 1.0
-    first = -second.copy()
-    first[:, 0, 2] = -sin * d[:, 0] + cos * d[:, 1]
-    first[:, 1, 2] = -cos * d[:, 0] - sin * d[:, 1]
+    first, second = step_derivatives(a, b)
     rows = _block_matrix(np.arange(m), edges.first, first, (m, n)) + _block_matrix(
         np.arange(m), edges.second, second, (m, n)
     )
@@ -106,18 +117,6 @@ def _block_matrix(row: Ints, column: Ints, blocks: Floats, shape: tuple[int, int
     i = (a * row[:, None, None] + np.arange(a)[None, :, None] + np.zeros(b, dtype=np.intp)).ravel()
     j = (b * column[:, None, None] + np.arange(b)[None, None, :] + np.zeros((a, 1), dtype=np.intp)).ravel()
     return sparse.csr_array(sparse.coo_array((blocks.ravel(), (i, j)), shape=(a * shape[0], b * shape[1])))
-
-
-def linearise(
-    frames: FramePoints,
-    poses: Floats,
-    wheels: WheelEdges,
-    side: float,
-    gate: float,
-    sigma: float,
-) -> ReducedSystem:
-    """Cut the surfaces into patches, and linearise all residuals at the poses (n_frames, 3)."""
-    return reduced_system(point_rows(frames, poses, side, gate, sigma), poses, wheels)
 
 
 def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> ReducedSystem:
@@ -163,9 +162,7 @@ def reduced_system(rows: PointRows, poses: Floats, wheels: WheelEdges) -> Reduce
         edges=wheels,
         edge_rows=edge_rows,
         edge_residuals=edge_residuals,
-        noise=rows.noise,
-        surface=rows.surface,
-        projections=rows.projections,
+        rows=rows,
     )
 
 
@@ -175,7 +172,11 @@ def sums_of(values: Floats, index: Ints, n: int) -> Floats:
 
 
 def conjugate_gradients(
-    system: ReducedSystem, rhs: Floats, preconditioner: sparse.csc_array, tolerance: float, max_steps: int
+    system: ReducedSystem,
+    rhs: Floats,
+    preconditioner: sparse.csc_array,
+    tolerance: float = TOLERANCE,
+    max_steps: int = MAX_STEPS,
 ) -> tuple[Floats, int]:
     """Solve H x = rhs for all columns of rhs (3 n_frames, m) by preconditioned conjugate gradients.
 
@@ -236,24 +237,20 @@ def refine(
     graph : Steps of the track and closures of the pose graph; only the preconditioner depends on them.
     """
     poses, taken = poses.copy(), np.zeros_like(poses)
-    last = REFINEMENT.iterations - 1
-    for iteration in range(REFINEMENT.iterations + 1):
-        share = min(iteration / max(last - 2, 1), 1.0)
-        side = REFINEMENT.first_side * (REFINEMENT.last_side / REFINEMENT.first_side) ** share
-        gate = REFINEMENT.first_gate * (REFINEMENT.last_gate / REFINEMENT.first_gate) ** share
-        sigma = REFINEMENT.first_sigma * (REFINEMENT.last_sigma / REFINEMENT.first_sigma) ** share
-        system = linearise(frames, poses, wheels.at(poses), side, gate, sigma)
+    for iteration in range(ITERATIONS + 1):
+        share = min(iteration / (ITERATIONS - 3), 1.0)
+        side, gate, sigma = (first * (last / first) ** share for first, last in (SIDE, GATE, SIGMA))
+        rows = point_rows(frames, poses, side, gate, sigma)
+        system = reduced_system(rows, poses, wheels.at(poses))
         preconditioner = pose_graph_matrix(system, poses, graph)
-        if iteration == REFINEMENT.iterations:
+        if iteration == ITERATIONS:
             break
-        step, _ = conjugate_gradients(
-            system, -system.gradient[:, None], preconditioner, REFINEMENT.tolerance, REFINEMENT.max_steps
-        )
+        step, _ = conjugate_gradients(system, -system.gradient[:, None], preconditioner)
         taken = step.reshape(-1, 3)
         taken = taken * min(1.0, MAX_TURN / max(float(np.abs(taken[:, 2]).max()), 1e-9))
         poses = poses + taken
         poses[:, 2] = wrap(poses[:, 2])
-        progress(iteration + 1, REFINEMENT.iterations + 1)
+        progress(iteration + 1, ITERATIONS + 1)
     return Refined(poses=poses, last_step=taken, system=system, preconditioner=preconditioner, frames=frames)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -112,13 +114,17 @@ def true_intervals(flags: Bools) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
+def stretches_of(status: Sequence[Status]) -> list[tuple[Status, int, int]]:
+    """Return status, first and end of each stretch of scans with one status."""
+    cuts = [0, *(k for k in range(1, len(status)) if status[k] != status[k - 1]), len(status)]
+    return [(status[a], a, b) for a, b in pairwise(cuts) if a < b]
+
+
 def interval_notes(stamps: Floats, status: tuple[Status, ...], *words: Status) -> tuple[str, ...]:
     """Return one note for each time interval in which the scans have one of the given states."""
-    notes: list[str] = []
-    start = 0
-    for k in range(1, len(status) + 1):
-        if k == len(status) or status[k] != status[start]:
-            if status[start] in words:
-                notes.append(f"{status[start]} from {stamps[start]:.1f} s to {stamps[k - 1]:.1f} s")
-            start = k
+    notes = [
+        f"{word} from {stamps[a]:.1f} s to {stamps[b - 1]:.1f} s"
+        for word, a, b in stretches_of(status)
+        if word in words
+    ]
     return tuple(notes)

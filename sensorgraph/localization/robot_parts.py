@@ -15,13 +15,19 @@ from logs.motion import Motion
 from logs.run import Pairing, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.localization.crossed_space import MIN_VISIBLE, NOISE_MARGIN, crossed, moved_points
 from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.ray_times import motion_of_track
 from sensorgraph.localization.scan_track import ScanTrack, determines_all, settled
-from sensorgraph.localization.scans import laser_rays, scan_points
+from sensorgraph.localization.scans import (
+    MIN_VISIBLE,
+    NOISE_MARGIN,
+    crossed,
+    laser_rays,
+    moved_points,
+    scan_points,
+)
 from sensorgraph.types import Bools, Floats, Ints
 
 REACH = 1.0
@@ -162,8 +168,7 @@ def robot_parts_text(parts: Floats, bearings: Floats) -> str:
 
 def _pieces(tracked: ScanTrack, *, has_odometry: bool) -> Ints:
     """Return the number (n_scans,) of the stretch of a track within which all motions are determined; -1: none."""
-    key = np.searchsorted(tracked.key_frames, np.arange(len(tracked.poses)), side="right") - 1
-    sure = determines_all(settled(tracked.projections))[np.clip(key, 0, None)] | has_odometry
+    sure = determines_all(settled(tracked.projections))[tracked.between_key_frames()[0]] | has_odometry
     sure &= tracked.matched
     return np.where(sure, np.cumsum(~tracked.is_continuous | ~sure), -1)
 

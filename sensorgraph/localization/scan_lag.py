@@ -22,10 +22,28 @@ from logs.transforms import wrap
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.settings import CAUCHY, SIGNIFICANT
-from sensorgraph.localization.time_settings import SCAN_LAG
+from sensorgraph.localization.wheels import STRETCHES
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
+RATE_INTERVAL = 0.05
+"""[s] Interval over which the turn rate of the odometry is computed."""
+LONGEST_STEP = 3.0
+"""Maximum step between two scans, in median steps."""
+MIN_STEPS = 50
+"""Minimum number of steps between scans."""
+MIN_CHANGE = 0.01
+"""[rad/s] Minimum root mean square change of the turn rate between two scans."""
+MIN_SLOPE = 0.3
+"""Minimum ratio of the turns of laser and odometry."""
+ROUNDS = 8
+"""Number of rounds of robust weighting."""
+MIN_LAG = 0.01
+"""[s] Minimum lag that is reported."""
+RELATIVE_ERROR = 0.2
+"""Relative error of a lag that still agrees with the duration of a scan."""
+LATENCY = 0.05
+"""[s] Latency of odometry, at most: the period of slow wheel controllers."""
 N_STEPS = 4
 """Number of linear steps; each leaves a small share of the lag."""
 
@@ -54,12 +72,12 @@ def scan_lag(run: Run, motion: Motion, tracked: ScanTrack) -> ScanLag | None:
     """
     found = _linear_lag(run.stamps, motion, tracked)
     for _ in range(N_STEPS):  # the model is linear in the lag, which a long lag is not
-        if found is None or abs(found.value) < SCAN_LAG.min_lag:
+        if found is None or abs(found.value) < MIN_LAG:
             break
         more = _linear_lag(run.stamps + found.value, motion, tracked)
         if more is None:
             break
-        is_close = abs(more.value) < SCAN_LAG.min_lag
+        is_close = abs(more.value) < MIN_LAG
         found = replace(more, value=found.value + more.value)
         if is_close:
             break
@@ -68,26 +86,25 @@ def scan_lag(run: Run, motion: Motion, tracked: ScanTrack) -> ScanLag | None:
 
 def _linear_lag(stamps: Floats, motion: Motion, tracked: ScanTrack) -> ScanLag | None:
     """Return the lag of scans at stamps (n,) [s] by the model that is linear in it; None if the drive does not show it."""
-    s = SCAN_LAG
     step = np.diff(stamps)
     usable = tracked.matched & is_measured(motion, stamps)
     both = usable[1:] & usable[:-1] & tracked.is_continuous[1:] & (step > 0)
     for jump in tracked.jumps:
         both[max(jump - 1, 0)] = False
     seen = wrap(np.diff(tracked.poses[:, 2]))
-    odometry, rate = motion.at(stamps)[:, 2], _turn_rate(motion, stamps, s.rate_interval)
+    odometry, rate = motion.at(stamps)[:, 2], _turn_rate(motion, stamps, RATE_INTERVAL)
     driven, change = np.diff(odometry), np.diff(rate)
-    both &= step < s.max_steps * np.median(step[step > 0]) if (step > 0).any() else False
+    both &= step < LONGEST_STEP * np.median(step[step > 0]) if (step > 0).any() else False
     share = np.linspace(-0.5, 0.5, len(step))
     x, y = np.column_stack([driven, change, change * share])[both], seen[both]
-    segment = (np.flatnonzero(both) * s.segments) // max(len(step), 1)
-    if len(y) < s.min_scans or (change[both] ** 2).sum() < s.min_change**2 * len(y):
+    segment = (np.flatnonzero(both) * STRETCHES) // max(len(step), 1)
+    if len(y) < MIN_STEPS or (change[both] ** 2).sum() < MIN_CHANGE**2 * len(y):
         return None
     drifting, covariance = _robust_fit(x, y, segment)
     drift, stderr = drifting[2] / drifting[0], np.sqrt(covariance[2, 2]) / drifting[0]
-    is_drifting = drifting[0] > s.min_slope and abs(drift) > max(SIGNIFICANT * stderr, s.min_lag)
+    is_drifting = drifting[0] > MIN_SLOPE and abs(drift) > max(SIGNIFICANT * stderr, MIN_LAG)
     beta, covariance = (drifting, covariance) if is_drifting else _robust_fit(x[:, :2], y, segment)
-    if not beta[0] > s.min_slope:
+    if not beta[0] > MIN_SLOPE:
         return None
     lag = ScanLag(value=float(beta[1] / beta[0]), stderr=float(np.sqrt(covariance[1, 1]) / beta[0]))
     return replace(lag, drift=float(drift), drift_stderr=float(stderr)) if is_drifting else lag
@@ -95,20 +112,20 @@ def _linear_lag(stamps: Floats, motion: Motion, tracked: ScanTrack) -> ScanLag |
 
 def _robust_fit(x: Floats, y: Floats, segment: Ints) -> tuple[Floats, Floats]:
     """Return the coefficients (k,) of y (n,) in x (n, k), robust to outliers, and their covariance (k, k) by segments (n,)."""
-    s, k = SCAN_LAG, x.shape[1]
+    k = x.shape[1]
     weight = np.ones(len(y))
     inverse: Floats = np.eye(k)
     beta: Floats = np.zeros(k)
-    for _ in range(s.rounds):
+    for _ in range(ROUNDS):
         inverse = np.asarray(np.linalg.inv(x.T @ (x * weight[:, None]) + 1e-12 * np.eye(k)))
         beta = inverse @ (x.T @ (weight * y))
         left = y - x @ beta
         scale = robust_sigma(left) + 1e-9
         weight = 1.0 / (1.0 + (left / (CAUCHY * scale)) ** 2)
     scores = np.stack(
-        [(x[segment == i] * (weight * left)[segment == i, None]).sum(axis=0) for i in range(s.segments)]
+        [(x[segment == i] * (weight * left)[segment == i, None]).sum(axis=0) for i in range(STRETCHES)]
     )
-    return beta, np.asarray(inverse @ (scores.T @ scores * s.segments / (s.segments - 1)) @ inverse)
+    return beta, np.asarray(inverse @ (scores.T @ scores * STRETCHES / (STRETCHES - 1)) @ inverse)
 
 
 def _turn_rate(motion: Motion, stamps: Floats, interval: float) -> Floats:
@@ -128,15 +145,15 @@ def with_stamp_of(run: Run, lag: ScanLag) -> tuple[Run, tuple[str, ...]]:
     text = f"{1e3 * lag.value:+.0f} ± {1e3 * lag.stderr:.1f} ms"
     if lag.drift:
         text += f", drifting by {1e3 * lag.drift:+.0f} ± {1e3 * lag.drift_stderr:.1f} ms over the log"
-    elif abs(lag.value) < max(SIGNIFICANT * lag.stderr, SCAN_LAG.min_lag):
+    elif abs(lag.value) < max(SIGNIFICANT * lag.stderr, MIN_LAG):
         return run, ()
-    elif sensor.scan_duration > SCAN_LAG.min_lag:
+    elif sensor.scan_duration > MIN_LAG:
         first, last = float(delays.min()), float(delays.max())
         shifts = {"begin": -first, "middle": -float(delays.mean()), "end": -last}
         where, second, _ = sorted(shifts, key=lambda name: abs(shifts[name] - lag.value))
         rest = abs(lag.value - shifts[where])
-        is_latency = rest < min(SCAN_LAG.latency, 0.5 * abs(lag.value - shifts[second]))
-        is_equal = rest < max(SIGNIFICANT * lag.stderr, SCAN_LAG.relative_error * (last - first))
+        is_latency = rest < min(LATENCY, 0.5 * abs(lag.value - shifts[second]))
+        is_equal = rest < max(SIGNIFICANT * lag.stderr, RELATIVE_ERROR * (last - first))
         if is_equal or (is_latency and shifts[where] != 0.0):
             shifted = replace(sensor, first_ray_delay=sensor.first_ray_delay + shifts[where])
             return replace(run, sensor=shifted), (

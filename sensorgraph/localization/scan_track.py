@@ -1,14 +1,15 @@
-"""`ScanTrack`: the result of the laser odometry; points, turns and information of its poses."""
+"""`ScanTrack` and `TrackerState`: the result of the laser odometry, and what it knows after a scan; points and turns of poses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from sensorgraph.localization.line_map import LineMap
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import MATCH
-from sensorgraph.localization.wheels import WheelEstimate
+from sensorgraph.localization.wheels import WheelEstimate, slip_of
 from sensorgraph.types import Bools, Floats, Ints
 
 
@@ -47,6 +48,59 @@ class ScanTrack:
         left = np.clip(np.searchsorted(self.key_frames, np.arange(len(self.poses))) - 1, 0, None)
         return np.append(steps, False)[left]
 
+    def between_key_frames(self) -> tuple[Ints, Ints, Floats]:
+        """Return the key frames before and after each scan (n_scans,), and the share (n_scans,) of its way from one to the other.
+
+        Between two track segments that nothing connects the motion is unknown: the share is 0.
+        """
+        keys, index = self.key_frames, np.arange(len(self.poses))
+        left = np.clip(np.searchsorted(keys, index, side="right") - 1, 0, len(keys) - 1)
+        right = np.minimum(left + 1, len(keys) - 1)
+        is_joined = (self.piece[left] == self.piece[right]) | np.append(self.is_carried, False)[left]
+        share = np.clip((index - keys[left]) / np.maximum(keys[right] - keys[left], 1), 0.0, 1.0)
+        return left, right, share * (is_joined & (right > left))
+
+
+@dataclass
+class TrackerState:
+    """State of the tracker."""
+
+    wheels: WheelEstimate | None
+    key_frames: list[int] = field(default_factory=list)
+    piece: list[int] = field(default_factory=list)
+    edges: list[Floats] = field(default_factory=list)
+    motion_deviations: list[Floats] = field(default_factory=list)
+    is_carried: list[bool] = field(default_factory=list)
+    projections: list[Floats] = field(default_factory=list)
+    determined_at: float = 0.0
+    """[s] Stamp of the last key frame whose scan determines all directions, or of the first one."""
+    jumps: list[int] = field(default_factory=list)
+    surfaces: LineMap | None = None
+    last_matched: int = 0
+    """Last matched scan."""
+    agreement: float = 0.0
+    """Share of its points that fit the key frames."""
+    usual_agreement: float = 0.5
+    """Moving average of this share."""
+    failures: list[int] = field(default_factory=list)
+    """Scans without a match since then."""
+    last_unmatched: tuple[int, LineMap] | None = None
+    """The last of these, and the surfaces that it observed."""
+    velocity: Floats = field(default_factory=lambda: np.zeros(3))
+    """[m/s, m/s, rad/s] Velocity in base_link from the last two matches."""
+    slip: Floats = field(default_factory=lambda: np.zeros(3))
+    """[m/s, m/s, rad/s] Error of the odometry's speed at the last match, if it slips; otherwise zero."""
+
+    def learn_slip(self, off: Floats, deviations: Floats | None, since: float) -> None:
+        """Take the error (3,) [m, m, rad] of a prediction over `since` [s] as slip, if it is beyond the odometry's noise.
+
+        Slip lasts, as of a robot that is pushed or that spins its wheels: the next prediction has this error as its deviation.
+        """
+        if deviations is None or self.wheels is None:
+            return
+        noise = np.sqrt(np.maximum(deviations**2 - (self.slip * since) ** 2, 0.0))
+        self.slip = slip_of(off, noise) / since
+
 
 def points_in(scans: ScanPoints, chosen: list[int] | Ints, poses: Floats) -> tuple[Floats, Floats]:
     """Return points and normals (n, 2) of some scans, transformed by their poses (n_chosen, 3)."""
@@ -67,14 +121,19 @@ def turn_matrices(phi: Floats) -> Floats:
     """Return the matrices (..., 3, 3) that turn a motion ahead, left and turn at headings phi (...) into x, y, phi in map."""
     cos, sin = np.cos(phi), np.sin(phi)
     turns = np.zeros((*np.shape(phi), 3, 3))
-    turns[..., 0, 0], turns[..., 0, 1], turns[..., 1, 0], turns[..., 1, 1], turns[..., 2, 2] = (
-        cos,
-        -sin,
-        sin,
-        cos,
-        1.0,
-    )
+    turns[..., 0, 0], turns[..., 0, 1] = cos, -sin
+    turns[..., 1, 0], turns[..., 1, 1], turns[..., 2, 2] = sin, cos, 1.0
     return turns
+
+
+def step_derivatives(first: Floats, second: Floats) -> tuple[Floats, Floats]:
+    """Return the derivatives (n, 3, 3) of inv(x_a) ∘ x_b by x_a and by x_b, poses (n, 3) in map axes."""
+    by_second = turn_matrices(-first[:, 2])
+    by_first, way = -by_second, second[:, :2] - first[:, :2]
+    cos, sin = np.cos(first[:, 2]), np.sin(first[:, 2])
+    by_first[:, 0, 2] = -sin * way[:, 0] + cos * way[:, 1]
+    by_first[:, 1, 2] = -cos * way[:, 0] - sin * way[:, 1]
+    return by_first, by_second
 
 
 def information_at(pose: Floats, deviations: Floats) -> Floats:

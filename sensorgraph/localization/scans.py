@@ -1,8 +1,10 @@
-"""Returns of a run as points in base_link, deskewed for the motion during a sweep, with surface normals."""
+"""Returns of a run as points in base_link, deskewed for the motion during a sweep, with surface normals; the space they crossed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +12,24 @@ from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
 from planners.kernel import kernel
-from sensorgraph.localization.settings import SCANS, UNKNOWN_NORMAL_LENGTH
+from sensorgraph.localization.settings import CLOSURES, SCANS, UNKNOWN_NORMAL_LENGTH
 from sensorgraph.types import Bools, Floats, Ints
 
+SPACING = 0.015
+"""[m] Minimum distance between consecutive points of a scan; closer points are dropped."""
+NEIGHBOURHOOD = 0.12
+"""[m] Distance along the scan within which neighbours contribute to the normal of a point."""
+MAX_GAP = float(np.radians(3.0))
+"""[rad] Maximum bearing difference between neighbouring returns of a dense laser; in wider gaps the space is unobserved."""
+NOISE_MARGIN = 0.1
+"""[m] Distance from the end of a ray within which a point fits it: noise, and errors of a motion within a second."""
+MIN_VISIBLE = 8
+"""Number of visible points from which two views can contradict each other."""
 SCANS_PER_BLOCK = 1000
 """Number of scans that are deskewed at once; it bounds the memory."""
+
+_COLUMNS = ("points", "normals", "ranges", "starts", "rays")
+"""Fields of `ScanPoints` with a row for each point."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,36 +71,26 @@ class ScanPoints:
     def with_scans_of(self, other: ScanPoints, chosen: Bools) -> ScanPoints:
         """Return the returns with those of another conversion of the same run for the chosen scans (n_scans,)."""
         sources = [other if one else self for one in chosen]
-        parts = [(source, source.of(k)) for k, source in enumerate(sources)]
-        counts = [part.stop - part.start for _, part in parts]
-        return ScanPoints(
-            first=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp),
-            points=np.concatenate([source.points[part] for source, part in parts]),
-            normals=np.concatenate([source.normals[part] for source, part in parts]),
-            ranges=np.concatenate([source.ranges[part] for source, part in parts]),
-            starts=np.concatenate([source.starts[part] for source, part in parts]),
-            rays=np.concatenate([source.rays[part] for source, part in parts]),
-        )
+        counts = [int(source.first[k + 1] - source.first[k]) for k, source in enumerate(sources)]
+        columns = [
+            [getattr(source, name)[source.of(k)] for k, source in enumerate(sources)] for name in _COLUMNS
+        ]
+        return ScanPoints._of(counts, [np.concatenate(parts) for parts in columns])
+
+    @staticmethod
+    def _of(counts: Ints | list[int], columns: Sequence[Any]) -> ScanPoints:
+        """Return the returns with counts (n_scans,) and columns in the order of the fields."""
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+        return ScanPoints(first=first, **dict(zip(_COLUMNS, columns, strict=True)))
 
     def without(self, dropped: Bools) -> ScanPoints:
         """Return the returns without some of the points (n_points,)."""
         kept = ~dropped
-        return ScanPoints(
-            first=np.concatenate([[0], np.cumsum(kept)])[self.first].astype(np.intp),
-            points=self.points[kept],
-            normals=self.normals[kept],
-            ranges=self.ranges[kept],
-            starts=self.starts[kept],
-            rays=self.rays[kept],
-        )
+        first = np.concatenate([[0], np.cumsum(kept)])[self.first].astype(np.intp)
+        return ScanPoints(first=first, **{name: getattr(self, name)[kept] for name in _COLUMNS})
 
 
-def scan_points(
-    run: Run,
-    motion: Motion | None = None,
-    *,
-    delays: Floats | None = None,
-) -> ScanPoints:
+def scan_points(run: Run, motion: Motion | None = None, *, delays: Floats | None = None) -> ScanPoints:
     """Convert the returns of a run to points in base_link at the stamps of their scans.
 
     Parameters
@@ -100,24 +105,12 @@ def scan_points(
         used &= run.ranges < sensor.range_max - sensor.resolution
     blocks = [
         _block(
-            run,
-            slice(start, start + SCANS_PER_BLOCK),
-            used[start : start + SCANS_PER_BLOCK],
-            motion,
-            delays,
+            run, slice(start, start + SCANS_PER_BLOCK), used[start : start + SCANS_PER_BLOCK], motion, delays
         )
         for start in range(0, max(run.n_scans, 1), SCANS_PER_BLOCK)
     ]
-    counts = np.concatenate([block[0] for block in blocks])
-    points, normals, ranges, starts = (np.concatenate([block[k] for block in blocks]) for k in range(1, 5))
-    return ScanPoints(
-        first=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp),
-        points=points,
-        normals=normals,
-        ranges=ranges,
-        starts=starts,
-        rays=np.concatenate([block[5] for block in blocks]),
-    )
+    counts, *columns = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return ScanPoints._of(counts, columns)
 
 
 def _block(
@@ -132,8 +125,8 @@ def _block(
     starts = np.broadcast_to(rays[..., :2], points.shape)
     kept = np.zeros(used.shape, dtype=np.bool_)
     normals = np.zeros_like(points)
-    _normals(points, np.ascontiguousarray(starts), used, SCANS.reach, SCANS.gap, normals)
-    _thin(points, used, SCANS.spacing, kept)
+    _normals(points, np.ascontiguousarray(starts), used, NEIGHBOURHOOD, SCANS.gap, normals)
+    _thin(points, used, SPACING, kept)
     return kept.sum(axis=1), points[kept], normals[kept], ranges[kept], starts[kept], np.nonzero(kept)[1]
 
 
@@ -215,3 +208,58 @@ def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: flo
             if nx * (points[i, k, 0] - starts[i, k, 0]) + ny * (points[i, k, 1] - starts[i, k, 1]) > 0:
                 nx, ny = -nx, -ny
             normals[i, k, 0], normals[i, k, 1] = nx, ny
+
+
+def crossed(
+    points: Floats, pose: Floats, scans: ScanPoints, own: slice, margin: float
+) -> tuple[Bools, Bools]:
+    """Return which points (n, 2) are visible from a scan, and which of these its rays crossed."""
+    if own.start == own.stop:
+        none = np.zeros(len(points), dtype=np.bool_)
+        return none, none
+    start = scans.starts[own].mean(axis=0)
+    rays = scans.points[own] - start
+    bearing, length = np.arctan2(rays[:, 1], rays[:, 0]), np.hypot(*rays.T)
+    order = np.argsort(bearing)
+    bearing, length = bearing[order], length[order]
+    local = moved_points(points, invert(pose)) - start
+    at, far = np.arctan2(local[:, 1], local[:, 0]), np.hypot(*local.T)
+    right = np.searchsorted(bearing, at)
+    inside = (right > 0) & (right < len(bearing))
+    right = np.clip(right, 1, len(bearing) - 1)
+    gaps = np.diff(bearing)
+    widest = max(MAX_GAP, 2.0 * float(np.median(gaps))) if len(gaps) else MAX_GAP
+    is_near = bearing[right] - bearing[right - 1] < widest
+    in_view = inside & is_near & (far < np.maximum(length[right], length[right - 1]) + margin)
+    through = in_view & (far < np.minimum(length[right], length[right - 1]) - margin)
+    return in_view, through
+
+
+def moved_points(points: Floats, pose: Floats) -> Floats:
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    moved: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+    return moved
+
+
+def contradicts(
+    scans: ScanPoints, k: int, pose: Floats, points: Floats, frames: Sequence[int], poses: Floats
+) -> bool:
+    """Tell whether scan k, taken at `pose`, contradicts what was seen before.
+
+    It does if its rays cross known surfaces, or if its returns lie in space that earlier rays crossed. A view of unknown
+    space contradicts nothing.
+
+    Parameters
+    ----------
+    points : (n, 2) [m] Points of the known surfaces.
+    frames, poses : Earlier scans, and their poses (n_frames, 3).
+    """
+    own = moved_points(scans.points[scans.of(k)], pose)
+    views = [crossed(points, pose, scans, scans.of(k), CLOSURES.margin)]
+    views += [
+        crossed(own, there, scans, scans.of(frame), CLOSURES.margin)
+        for frame, there in zip(frames, poses, strict=True)
+    ]
+    visible = sum(int(seen.sum()) for seen, _ in views)
+    gone = sum(int(through.sum()) for _, through in views)
+    return visible >= MIN_VISIBLE and gone > CLOSURES.see_through * visible

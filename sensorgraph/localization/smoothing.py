@@ -18,12 +18,16 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.scan_track import ScanTrack
-from sensorgraph.localization.settings import CAUCHY, SMOOTHING, SmoothingSettings
+from sensorgraph.localization.scan_track import ScanTrack, step_derivatives
+from sensorgraph.localization.settings import CAUCHY, SMOOTHING
 from sensorgraph.types import Bools, Floats
 
 ITERATIONS = 6
 """Maximum number of Gauss-Newton steps. Poses start within centimetres, so that two or three steps suffice."""
+UNMATCHED_FACTOR = 10.0
+"""Factor on the standard deviation of a step where the front end did not match a scan, without odometry."""
+UNKNOWN_STEP = 100.0
+"""[m, rad] Standard deviation of a step where the motion is not known."""
 _COLUMNS = np.arange(3)
 
 
@@ -37,25 +41,23 @@ class SmoothedPoses:
     """(n, 3, 3) of x, y, phi in map."""
 
 
-def steps_of(
-    track: ScanTrack, breaks: Bools | None = None, settings: SmoothingSettings = SMOOTHING
-) -> tuple[Floats, Floats]:
+def steps_of(track: ScanTrack, breaks: Bools | None = None) -> tuple[Floats, Floats]:
     """Return the laser odometry as steps (n - 1, 3) from scan to scan, with their information (n - 1, 3, 3).
 
     Parameters
     ----------
     breaks : (n,) The motion from the previous scan is not known. None: where the track is not continuous.
     """
-    s = settings
+    s = SMOOTHING
     steps = compose(invert(track.poses[:-1]), track.poses[1:])
     way, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     sd = np.asarray(s.step_floor) + (s.step_per_metre * way + s.step_per_turn * turn)[:, None]
     unmatched = ~(track.matched[:-1] & track.matched[1:])
     if track.wheels is None:
-        sd[unmatched] *= s.unmatched_factor
+        sd[unmatched] *= UNMATCHED_FACTOR
     else:
         sd[unmatched] = track.wheels.deviations(way[unmatched], turn[unmatched])
-    sd[(~track.is_continuous if breaks is None else breaks)[1:]] = s.unknown_step
+    sd[(~track.is_continuous if breaks is None else breaks)[1:]] = UNKNOWN_STEP
     information = np.zeros((len(sd), 3, 3))
     information[:, _COLUMNS, _COLUMNS] = sd**-2.0
     return steps, information
@@ -105,25 +107,13 @@ def _normal_equations(
     The blocks of JᵀWJ are `diagonal` (n, 3, 3) and, below it, `lower` (n - 1, 3, 3). The gradient (n, 3) is
     JᵀWr. Places have the weights of `_weights`.
     """
-    n = len(poses)
     off = poses - places
     off[:, 2] = wrap(off[:, 2])
     weighted = place_information * _weights(poses, places, place_information)[:, None, None]
     diagonal = weighted + 1e-9 * np.eye(3)
     gradient = np.einsum("nij,nj->ni", weighted, off)
     way = poses[1:, :2] - poses[:-1, :2]
-    cos, sin = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
-    second = np.zeros((n - 1, 3, 3))
-    second[:, 0, 0], second[:, 0, 1], second[:, 1, 0], second[:, 1, 1], second[:, 2, 2] = (
-        cos,
-        sin,
-        -sin,
-        cos,
-        1.0,
-    )
-    first = -second.copy()
-    first[:, 0, 2] = -sin * way[:, 0] + cos * way[:, 1]
-    first[:, 1, 2] = -cos * way[:, 0] - sin * way[:, 1]
+    first, second = step_derivatives(poses[:-1], poses[1:])
     errors = np.einsum("nij,nj->ni", second[:, :2, :2], way) - steps[:, :2]
     errors = np.column_stack([errors, wrap(poses[1:, 2] - poses[:-1, 2] - steps[:, 2])])
     first_weighted = np.einsum("nji,njk->nik", first, step_information)

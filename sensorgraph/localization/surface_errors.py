@@ -22,11 +22,30 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from sensorgraph.localization.clusters import MeanResiduals
-from sensorgraph.localization.error_settings import SURFACE_ERRORS
+from sensorgraph.localization.point_rows import MeanResiduals
 from sensorgraph.localization.refinement import ReducedSystem, conjugate_gradients, sums_of
 from sensorgraph.types import Floats, Ints
 
+LENGTHS = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""[m] Candidates of the correlation length."""
+FRAMES = (2.0, 4.0, 8.0, 16.0, 32.0)
+"""[key frames] Candidates of the correlation time."""
+DISTANCES = (0.3, 0.5, 0.8, 1.2, 2.0, 3.0)
+"""[m] Upper limits of the distances at which residuals of a key frame are compared."""
+LAGS = (1, 2, 3, 4, 6, 8, 12, 16)
+"""[key frames] Distances at which residuals of a patch are compared."""
+PARALLEL = 0.9
+"""Minimum cosine between the normals of compared patches."""
+MAX_FRAMES = 400
+"""Maximum number of key frames whose residuals are compared by distance."""
+MIN_PAIRS = 30
+"""Minimum number of pairs of clusters at a distance."""
+SIMULATED = 400_000
+"""Number of simulated residuals of a candidate ..."""
+DRAWS = (3, 24)
+"""... in a number of draws between these."""
+TOLERANCE, MAX_STEPS = 1e-2, 100
+"""Relative residual at which conjugate gradients stop, and number of their steps: simulated residuals need little accuracy."""
 TABLE = 1 << 16
 """Number of independent normal numbers. Cells that share one are far apart, or of another draw."""
 
@@ -88,25 +107,25 @@ class _Correlations:
     """Mean products of the residuals of neighbouring clusters, by distance and by key frames in between."""
 
     def __init__(self, clusters: MeanResiduals) -> None:
-        s, frame = SURFACE_ERRORS, clusters.frame
+        frame = clusters.frame
         self.pairs: list[tuple[Ints, Ints]] = []
-        step = max(int(frame.max()) // s.max_frames, 1)
+        step = max(int(frame.max()) // MAX_FRAMES, 1)
         chosen = np.flatnonzero(frame % step == 0)
         middle, facing = clusters.middle[chosen], clusters.facing[chosen]
-        apart = frame[chosen] * (2.0 * s.distances[-1])  # clusters of other frames are no neighbours
-        near = cKDTree(np.column_stack([middle, apart])).query_pairs(s.distances[-1], output_type="ndarray")
-        near = near[np.einsum("ni,ni->n", facing[near[:, 0]], facing[near[:, 1]]) > s.parallel]
+        apart = frame[chosen] * (2.0 * DISTANCES[-1])  # clusters of other frames are no neighbours
+        near = cKDTree(np.column_stack([middle, apart])).query_pairs(DISTANCES[-1], output_type="ndarray")
+        near = near[np.einsum("ni,ni->n", facing[near[:, 0]], facing[near[:, 1]]) > PARALLEL]
         way = np.hypot(*(middle[near[:, 0]] - middle[near[:, 1]]).T)
-        for low, high in zip((0.0, *s.distances[:-1]), s.distances, strict=True):
+        for low, high in zip((0.0, *DISTANCES[:-1]), DISTANCES, strict=True):
             inside = near[(way >= low) & (way < high)]
             self.pairs.append((chosen[inside[:, 0]], chosen[inside[:, 1]]))
         m = int(clusters.patch.max()) + 1
         keys = frame * m + clusters.patch
-        for lag in s.lags:
+        for lag in LAGS:
             other = np.minimum(np.searchsorted(keys, keys + lag * m), len(keys) - 1)
             first = np.flatnonzero(keys[other] == keys + lag * m)
             self.pairs.append((first, other[first]))
-        self.pairs = [pair for pair in self.pairs if len(pair[0]) >= s.min_pairs]
+        self.pairs = [pair for pair in self.pairs if len(pair[0]) >= MIN_PAIRS]
 
     def of(self, residuals: Floats) -> Floats:
         """Return the mean products (n_pairs,) of residuals (n_clusters, n)."""
@@ -114,18 +133,14 @@ class _Correlations:
 
 
 def map_surface_errors(
-    system: ReducedSystem,
-    preconditioner: sparse.csc_array,
-    rng: np.random.Generator,
+    system: ReducedSystem, preconditioner: sparse.csc_array, rng: np.random.Generator
 ) -> SurfaceErrors:
     """Estimate the shared errors of the surfaces of a new map, which are fitted together with all poses."""
     clusters = system.clusters
 
     def fitted(errors: Floats) -> Floats:
         rhs, line = right_hand_sides(system, errors)
-        moved, _ = conjugate_gradients(
-            system, rhs, preconditioner, SURFACE_ERRORS.tolerance, SURFACE_ERRORS.max_steps
-        )
+        moved, _ = conjugate_gradients(system, rhs, preconditioner, TOLERANCE, MAX_STEPS)
         lines = system.inverse[:, None] * (line - system.coupling.T @ moved)
         k, m = errors.shape[1], len(line) // 2
         by_pose = np.einsum("ci,cik->ck", clusters.by_pose, moved.reshape(-1, 3, k)[clusters.frame])
@@ -137,9 +152,7 @@ def map_surface_errors(
 
 
 def surface_errors(
-    clusters: MeanResiduals,
-    fitted: Callable[[Floats], Floats],
-    rng: np.random.Generator,
+    clusters: MeanResiduals, fitted: Callable[[Floats], Floats], rng: np.random.Generator
 ) -> SurfaceErrors:
     """Estimate the shared errors from the residuals.
 
@@ -150,14 +163,13 @@ def surface_errors(
     ----------
     fitted : Returns the residuals of errors (n_clusters, n) after the fit, (n_clusters, n).
     """
-    s = SURFACE_ERRORS
-    none = SurfaceErrors(length=s.lengths[0], frames=s.frames[0], ratio=0.0, white=1.0)
-    if len(clusters.frame) < s.min_pairs:
+    none = SurfaceErrors(length=LENGTHS[0], frames=FRAMES[0], ratio=0.0, white=1.0)
+    if len(clusters.frame) < MIN_PAIRS:
         return none
     correlations = _Correlations(clusters)
     if not correlations.pairs:
         return none
-    n = int(np.clip(s.simulated // len(clusters.frame), s.min_draws, s.max_draws))
+    n = int(np.clip(SIMULATED // len(clusters.frame), *DRAWS))
     white = rng.normal(size=(len(clusters.frame), 2 * n)) / np.sqrt(clusters.count)[:, None]
     excess = correlations.of(clusters.residual[:, None]) - correlations.of(fitted(white))
     total = float(excess @ excess)
@@ -165,7 +177,7 @@ def surface_errors(
 
     def cost(at: tuple[int, int]) -> float:
         if at not in tried:
-            length, frames = s.lengths[at[0]], s.frames[at[1]]
+            length, frames = LENGTHS[at[0]], FRAMES[at[1]]
             left = fitted(_cells(clusters.middle, clusters.frame, length, frames, rng, n))
             expected = correlations.of(left)
             ratio = max(float(expected @ excess) / max(float(expected @ expected), 1e-300), 0.0)
@@ -173,19 +185,19 @@ def surface_errors(
             tried[at] = misfit, ratio, float((left**2).mean())
         return tried[at][0]
 
-    best, last = (len(s.lengths) // 2, len(s.frames) // 2), (-1, -1)
+    best, last = (len(LENGTHS) // 2, len(FRAMES) // 2), (-1, -1)
     while best != last:
         last = best
         i, j = last
         around = [(i + a, j + b) for a, b in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))]
-        inside = [at for at in around if 0 <= at[0] < len(s.lengths) and 0 <= at[1] < len(s.frames)]
+        inside = [at for at in around if 0 <= at[0] < len(LENGTHS) and 0 <= at[1] < len(FRAMES)]
         best = min(inside, key=cost)
     misfit, ratio, kept = tried[best]
     ratio *= max(1.0 - misfit, 0.0)
     square = float((clusters.residual**2).mean())
     return SurfaceErrors(
-        length=s.lengths[best[0]],
-        frames=s.frames[best[1]],
+        length=LENGTHS[best[0]],
+        frames=FRAMES[best[1]],
         ratio=ratio,
         white=max(1.0 - ratio * kept / max(square, 1e-300), 0.0),
     )

@@ -1,4 +1,12 @@
-"""Estimate the times of the rays in track pieces with many turns: Gauss-Newton steps with their covariances."""
+"""Estimate the times of the rays in track pieces with many turns: Gauss-Newton steps with their covariances.
+
+A time t of a ray moves its point by the velocity of the robot times t. With the residual r_k (`point_rows`), its derivative D_k
+by the times in a basis, projected on the complement of poses and lines, and weights w_k, the change of the times and its
+covariance, cluster-robust over the pieces p (Liang and Zeger 1986), are
+
+    M = sum_k w_k D_kᵀ D_k + I / DELAY_SD²,  change = -M⁻¹ sum_k w_k D_kᵀ r_k,
+    covariance = M⁻¹ (n / (n - 1) sum_p s_p s_pᵀ + I / DELAY_SD²) M⁻¹,  s_p = sum_(k in p) w_k D_kᵀ (r_k + D_k change).
+"""
 
 from __future__ import annotations
 
@@ -10,21 +18,36 @@ from scipy import sparse
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.point_rows import FramePoints, PointRows, point_rows, sums_by
+from sensorgraph.localization.point_rows import FramePoints, PointRows, sums_by
 from sensorgraph.localization.pose_graph import PoseEdges
-from sensorgraph.localization.refinement import (
-    ReducedSystem,
-    conjugate_gradients,
-    pose_graph_matrix,
-    reduced_system,
-    refine,
-)
-from sensorgraph.localization.scan_track import ScanTrack
+from sensorgraph.localization.refinement import ReducedSystem, conjugate_gradients, refine, sums_of
+from sensorgraph.localization.scan_track import ScanTrack, turn_matrices
 from sensorgraph.localization.scans import scan_points
-from sensorgraph.localization.settings import REFINEMENT
-from sensorgraph.localization.time_settings import CLASSES, RAY_TIMES
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Floats, Ints
+
+CLASSES = 4
+"""Number of ray classes, by ray number modulo this: the maximum number of interlaced sweeps."""
+PIECES = 40
+"""Maximum number of track pieces used; the fastest-turning ones are chosen."""
+MIN_PIECES = 8
+"""Minimum number of pieces; fewer give no standard errors."""
+PIECE_FRAMES = 12
+"""Maximum number of key frames of a piece: about two turns of the robot, or 4 m."""
+MIN_PIECE_FRAMES = 5
+"""Minimum number of key frames of a piece; fewer do not determine its surfaces."""
+MAX_RATE = 1.0
+"""[rad/s] Upper limit of the turn rate that ranks a piece, because wheels slip in fast turns."""
+MIN_RATE = 0.1
+"""[rad/s] Minimum turn rate; at this rate 10 ms correspond to 0.06°."""
+PIECE_OFFSET = 1000.0
+"""[m] Offset between the maps of two pieces."""
+VELOCITY_INTERVAL = 0.01
+"""[s] Interval over which the velocity at a scan is computed."""
+DELAY_SD = 0.2
+"""[s] Prior standard deviation of a delay."""
+MIN_GAIN = 25.0
+"""Minimum advantage, as twice the log likelihood, of times over all others: five standard errors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +75,6 @@ class LinearisedPieces:
     """(n,)"""
     rays: Ints
     """(n,)"""
-    rows: PointRows
     system: ReducedSystem
     preconditioner: sparse.csc_array
     speeds: Floats
@@ -67,29 +89,27 @@ class LinearisedPieces:
         ----------
         bearings : (n_rays, m) [rad] Further columns, of which the bearings have a sum.
         """
-        s, rows, system = REFINEMENT, self.rows, self.system
+        rows, system = self.system.rows, self.system
         by = self.speeds[:, None] * basis[self.rays]
         if bearings is not None:
             by = np.column_stack([by, self.turned[:, None] * bearings[self.rays]])
         n, m, weight = system.n_frames, rows.n_patches, rows.weight
         k = by.shape[1]
-        by_pose = np.column_stack([
-            np.column_stack([sums_by(rows.frame, weight * rows.by_pose[:, i] * by[:, j], n) for i in range(3)]).ravel()
-            for j in range(k)
-        ])  # fmt: skip
-        by_line = np.column_stack([
-            np.column_stack([sums_by(rows.patch, weight * rows.by_line[:, i] * by[:, j], m) for i in range(2)]).ravel()
-            for j in range(k)
-        ])  # fmt: skip
+        by_pose = np.column_stack(
+            [sums_of(weight[:, None] * rows.by_pose * c[:, None], rows.frame, n) for c in by.T]
+        )
+        by_line = np.column_stack(
+            [sums_of(weight[:, None] * rows.by_line * c[:, None], rows.patch, m) for c in by.T]
+        )
         rhs = by_pose - system.coupling @ (system.inverse[:, None] * by_line)
-        moved, _ = conjugate_gradients(system, rhs, self.preconditioner, s.tolerance, s.max_steps)
+        moved, _ = conjugate_gradients(system, rhs, self.preconditioner)
         lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
         own = (
             by
             - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, k)[rows.frame])
             - np.einsum("ni,nij->nj", rows.by_line, lines.reshape(m, 2, k)[rows.patch])
         )  # derivatives after projection on poses and lines
-        ridge = np.eye(k) * RAY_TIMES.delay_sd**-2.0
+        ridge = np.eye(k) * DELAY_SD**-2.0
         matrix = np.einsum("n,ni,nj->ij", weight, own, own) + ridge
         change = -np.linalg.solve(matrix, np.einsum("n,ni,n->i", weight, own, rows.residual))
         left = weight * (rows.residual + own @ change)
@@ -125,22 +145,22 @@ class TurningPieces:
         In a short log the pieces are shorter, as their number determines the standard errors.
         """
         keys = tracked.key_frames
-        m = min(RAY_TIMES.frames, len(keys) // RAY_TIMES.min_pieces)
-        if m < RAY_TIMES.min_frames:
+        m = min(PIECE_FRAMES, len(keys) // MIN_PIECES)
+        if m < MIN_PIECE_FRAMES:
             return None
         heading = np.unwrap(tracked.poses[:, 2]) if odometry is None else odometry[:, 2]
         rate = np.abs(np.gradient(heading, np.arange(len(heading))))[keys] * run.sensor.rate
         starts = [k for k in range(0, len(keys) - m + 1, m) if tracked.piece[k] == tracked.piece[k + m - 1]]
-        turning = np.array([(np.minimum(rate[k : k + m], RAY_TIMES.max_rate) ** 2).mean() for k in starts])
-        chosen = np.sort(np.argsort(-turning)[: RAY_TIMES.pieces])
-        if len(chosen) < RAY_TIMES.min_pieces or np.sqrt(np.median(turning[chosen])) < RAY_TIMES.min_rate:
+        turning = np.array([(np.minimum(rate[k : k + m], MAX_RATE) ** 2).mean() for k in starts])
+        chosen = np.sort(np.argsort(-turning)[:PIECES])
+        if len(chosen) < MIN_PIECES or np.sqrt(np.median(turning[chosen])) < MIN_RATE:
             return None
         index = np.array([starts[k] for k in chosen])[:, None] + np.arange(m)
         frames, piece = index.ravel(), np.repeat(np.arange(len(chosen)), m)
         poses = tracked.poses[keys[frames]].copy()
         origin = poses[::m][piece]
         poses[:, :2] -= origin[:, :2]
-        poses[:, 0] += RAY_TIMES.piece_offset * piece
+        poses[:, 0] += PIECE_OFFSET * piece
         inner = np.flatnonzero(np.diff(piece) == 0)
         relative = compose(invert(poses[inner]), poses[inner + 1])
         steps = np.zeros((len(inner), 3))
@@ -148,11 +168,7 @@ class TurningPieces:
             at = keys[frames[inner]], keys[frames[inner + 1]]
             steps = compose(invert(odometry[at[0]]), odometry[at[1]])
         return TurningPieces(
-            run=replace(
-                run,
-                stamps=run.stamps[keys[frames]],
-                ranges=run.ranges[keys[frames]],
-            ),
+            run=replace(run, stamps=run.stamps[keys[frames]], ranges=run.ranges[keys[frames]]),
             piece=piece,
             poses=poses,
             wheels=WheelSteps(first=inner, steps=steps, has_odometry=odometry is not None),
@@ -166,38 +182,28 @@ class TurningPieces:
 
     def linearised(self, delays: Floats, motion: Motion) -> LinearisedPieces:
         """Fit poses and lines, with delays (n_rays,) [s], and return the equations of the times of the rays."""
-        s = REFINEMENT
         scans = scan_points(self.run, motion, delays=delays)
-        keys = np.arange(scans.n_scans)
-        frames = FramePoints.of(scans, keys)
+        frames = FramePoints.of(scans, np.arange(scans.n_scans))
         graph = (self.graph, PoseEdges.of([]))
         refined = refine(frames, self.poses, self.wheels, graph, lambda done, total: None)
-        poses = refined.poses
-        rows = point_rows(frames, poses, s.last_side, s.last_gate, s.last_sigma)
-        system = reduced_system(rows, poses, self.wheels.at(poses))
+        poses, rows = refined.poses, refined.system.rows
         return LinearisedPieces(
             delays=delays,
             poses=poses,
             n_pieces=int(self.piece[-1]) + 1,
             piece=self.piece[rows.frame],
             rays=scans.rays[rows.index],
-            rows=rows,
-            system=system,
-            preconditioner=pose_graph_matrix(system, poses, graph),
+            system=refined.system,
+            preconditioner=refined.preconditioner,
             speeds=self._speeds(rows, poses, motion),
             turned=_turned(rows, poses, scans.starts[rows.index]),
         )
 
     def _speeds(self, rows: PointRows, poses: Floats, motion: Motion) -> Floats:
         """Return the derivatives (n,) [m/s] of the residuals with respect to the time of their ray."""
-        stamps, velocity_interval = self.run.stamps, RAY_TIMES.velocity_interval
-        velocity = (
-            compose(invert(motion.at(stamps)), motion.at(stamps + velocity_interval)) / velocity_interval
-        )
-        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        in_map = np.column_stack([
-            cos * velocity[:, 0] - sin * velocity[:, 1], sin * velocity[:, 0] + cos * velocity[:, 1], velocity[:, 2]
-        ])  # fmt: skip
+        now, after = motion.at(self.run.stamps), motion.at(self.run.stamps + VELOCITY_INTERVAL)
+        velocity = compose(invert(now), after) / VELOCITY_INTERVAL
+        in_map = np.einsum("nij,nj->ni", turn_matrices(poses[:, 2]), velocity)
         return np.asarray(np.einsum("ni,ni->n", rows.by_pose, in_map[rows.frame]))
 
 

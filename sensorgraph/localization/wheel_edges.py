@@ -14,10 +14,21 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scan_track import ScanTrack
-from sensorgraph.localization.settings import CAUCHY, FRONT_END, SIGNIFICANT, WHEELS, WheelSettings
-from sensorgraph.localization.wheels import WheelEstimate, corrected_steps, identify_wheels, signed_distance
+from sensorgraph.localization.settings import CAUCHY, FRONT_END, SIGNIFICANT, WHEELS
+from sensorgraph.localization.wheels import (
+    MAX_SCATTER,
+    MIN_SCATTER,
+    STRETCHES,
+    WheelEstimate,
+    corrected_steps,
+    identify_wheels,
+    signed_distance,
+)
 from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Bools, Floats, Ints
+
+UNKNOWN_SD = 1.0
+"""[m, rad] Standard deviation of a step of which nothing is known."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,9 +57,8 @@ class WheelSteps:
     is_seen: Bools | None = None
     """(n, 3) The scans determine the step ahead, left and its turn; None: of all. The others do not identify the wheels."""
     deviations: Floats | None = None
-    """(n, 3) [m, m, rad] Standard deviations of a step without odometry: ahead, left, turn; None: `unknown_sd`. With
+    """(n, 3) [m, m, rad] Standard deviations of a step without odometry: ahead, left, turn; None: `UNKNOWN_SD`. With
     odometry, those of a step of a robot that is pushed."""
-    settings: WheelSettings = WHEELS
 
     @staticmethod
     def of(odometry: Floats | None, tracked: ScanTrack, stamps: Floats) -> WheelSteps:
@@ -80,7 +90,7 @@ class WheelSteps:
             return None
         seen = self.is_seen
         both = None if seen is None else np.column_stack([seen[:, 0] & seen[:, 1], seen[:, 2]])
-        found = identify_wheels(self.steps, self._measured(poses), self.settings, is_seen=both)
+        found = identify_wheels(self.steps, self._measured(poses), is_seen=both)
         return found if least is None else found.at_least(least)
 
     def at(self, poses: Floats) -> WheelEdges:
@@ -89,7 +99,7 @@ class WheelSteps:
         measured = self._measured(poses)
         found = self.parameters(poses)
         if found is None or n == 0:
-            sd = np.full((n, 3), self.settings.unknown_sd) if self.deviations is None else self.deviations
+            sd = np.full((n, 3), UNKNOWN_SD) if self.deviations is None else self.deviations
             loose = np.eye(3) / sd[:, None, :] ** 2
             return WheelEdges(
                 edges=PoseEdges(
@@ -99,11 +109,9 @@ class WheelSteps:
                 prior=np.eye(3),
                 pull=np.zeros(3),
             )
-        s = self.settings
         relative = corrected_steps(self.steps, found.way_scale, found.turn_scale, found.heading_bias)
-        estimate = WheelEstimate(s)
         way = signed_distance(self.steps)
-        sd = estimate.deviations(np.abs(way), relative[:, 2])
+        sd = WheelEstimate().deviations(np.abs(way), relative[:, 2])
         off = measured - relative
         off[:, 2] = wrap(off[:, 2])
         scale = self._scatter(off / sd)
@@ -120,7 +128,7 @@ class WheelSteps:
         by[:, :2, 0] = -relative[:, :2] / found.way_scale
         by[:, :2, 1], by[:, 2, 1] = -turned * self.steps[:, 2:], -self.steps[:, 2]
         by[:, :2, 2], by[:, 2, 2] = -turned * way[:, None], -way
-        prior = np.array([s.way_scale_sd, s.turn_scale_sd, s.heading_bias_sd]) ** -2.0
+        prior = np.array([WHEELS.scale_sd, WHEELS.scale_sd, WHEELS.heading_bias_sd]) ** -2.0
         off_prior = np.array([found.way_scale - 1.0, found.turn_scale - 1.0, found.heading_bias])
         return WheelEdges(
             edges=PoseEdges(
@@ -136,15 +144,14 @@ class WheelSteps:
 
         Where the scans do not, the poses follow the wheels. From too few steps, the noise is the usual one.
         """
-        s = self.settings
         is_seen = np.ones(off.shape, dtype=np.bool_) if self.is_seen is None else self.is_seen
         if is_seen.all():
-            return np.clip(SIGMA_OF_MAD * np.median(np.abs(off), axis=0), s.min_scatter, s.max_scatter)
+            return np.clip(SIGMA_OF_MAD * np.median(np.abs(off), axis=0), MIN_SCATTER, MAX_SCATTER)
         out = np.ones(3)
         for axis, seen in enumerate(is_seen.T):
-            if seen.sum() >= s.stretches:
+            if seen.sum() >= STRETCHES:
                 found = SIGMA_OF_MAD * float(np.median(np.abs(off[seen, axis])))
-                out[axis] = np.clip(found, s.min_scatter, s.max_scatter)
+                out[axis] = np.clip(found, MIN_SCATTER, MAX_SCATTER)
         return out
 
     def _limit(self, information: Floats, off: Floats, sd: Floats) -> None:

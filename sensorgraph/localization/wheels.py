@@ -15,19 +15,25 @@ import numpy as np
 
 from logs.transforms import wrap
 from sensorgraph.localization.result import WheelParameters
-from sensorgraph.localization.settings import SIGNIFICANT, WHEELS, WheelSettings
+from sensorgraph.localization.settings import SIGNIFICANT, WHEELS
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Bools, Floats
+
+MIN_SCATTER = 0.05
+"""Lower bound of the estimated wheel noise, relative to the standard deviations of `WHEELS` ..."""
+MAX_SCATTER = 3.0
+"""... and upper bound."""
+STRETCHES = 12
+"""Number of segments of a log with independent slip; their differences give the standard errors."""
 
 
 class WheelEstimate:
     """Recursive estimate of the wheel parameters."""
 
-    def __init__(self, settings: WheelSettings = WHEELS) -> None:
-        self.settings = settings
-        self._way_information = settings.way_scale_sd**-2
+    def __init__(self) -> None:
+        self._way_information = WHEELS.scale_sd**-2
         self._way_moment = self._way_information
-        sds = np.array([settings.turn_scale_sd, settings.heading_bias_sd])
+        sds = np.array([WHEELS.scale_sd, WHEELS.heading_bias_sd])
         self._turn_information = np.diag(sds**-2)
         self._turn_moment = np.array([sds[0] ** -2, 0.0])
         self.way_scale, self.turn_scale, self.heading_bias = 1.0, 1.0, 0.0
@@ -38,7 +44,7 @@ class WheelEstimate:
 
     def deviations(self, way: Floats | float, turn: Floats | float) -> Floats:
         """Return the standard deviations (..., 3) [m, m, rad] of corrected steps (...): ahead, left, heading."""
-        s, turn = self.settings, np.abs(turn)
+        s, turn = WHEELS, np.abs(turn)
         place = s.place_floor + s.place_per_turn * turn
         return np.stack(
             [
@@ -79,10 +85,10 @@ def slip_of(off: Floats, deviations: Floats) -> Floats:
     return np.asarray(size if (size > SIGNIFICANT * deviations).any() else np.zeros(3))
 
 
-def is_standing(steps: Floats, settings: WheelSettings = WHEELS) -> Bools:
+def is_standing(steps: Floats) -> Bools:
     """Tell which steps (n, 3) of the odometry are those of wheels that stand, within the noise of a step of any length."""
-    is_turned = np.abs(wrap(steps[:, 2])) > settings.turn_floor
-    return np.asarray((np.abs(signed_distance(steps)) < settings.place_floor) & ~is_turned)
+    is_turned = np.abs(wrap(steps[:, 2])) > WHEELS.turn_floor
+    return np.asarray((np.abs(signed_distance(steps)) < WHEELS.place_floor) & ~is_turned)
 
 
 def signed_distance(steps: Floats) -> Floats:
@@ -100,9 +106,7 @@ def corrected_steps(steps: Floats, way_scale: float, turn_scale: float, heading_
     return np.stack([x, y, steps[..., 2] + missed], axis=-1)
 
 
-def identify_wheels(
-    steps: Floats, measured: Floats, settings: WheelSettings = WHEELS, *, is_seen: Bools | None = None
-) -> WheelParameters:
+def identify_wheels(steps: Floats, measured: Floats, *, is_seen: Bools | None = None) -> WheelParameters:
     """Fit the wheel parameters to steps (n, 3) of the odometry and the same steps by the laser, with standard errors.
 
     Two regressions, with priors on their coefficients, minimise the robustly weighted squares of
@@ -116,33 +120,29 @@ def identify_wheels(
     The priors separate turns and distances that always occur together. Steps beyond `SIGNIFICANT` robust
     standard deviations are excluded as slip, and so are those of wheels that stand while the robot is carried: they
     say nothing about scales. Slip depends on the floor, so that the standard errors are cluster-robust over
-    `settings.stretches` segments of the log (Liang and Zeger 1986).
+    `STRETCHES` segments of the log (Liang and Zeger 1986).
 
     Parameters
     ----------
     is_seen : (n, 2) The laser determines distance and turn of a step; None: of all.
     """
-    s = settings
     by_way, by_turn = np.ones((2, len(steps)), dtype=np.bool_) if is_seen is None else is_seen.T
     way, turn = signed_distance(measured), wrap(measured[:, 2])
-    estimate = WheelEstimate(s)
-    sd = estimate.deviations(np.abs(way), turn)
-    turned = ~is_standing(steps, s)
+    sd = WheelEstimate().deviations(np.abs(way), turn)
+    turned = ~is_standing(steps)
     by_way, by_turn = by_way & turned, by_turn & turned
     (share,), ((share_variance,),) = _regress(
         (measured[:, :1] / sd[:, :1])[by_way],
         (steps[:, 0] / sd[:, 0])[by_way],
         np.array([1.0]),
-        np.array([s.way_scale_sd]),
-        s,
+        np.array([WHEELS.scale_sd]),
     )
     scale = 1.0 / float(share)
     (a, c), covariance = _regress(
         (np.column_stack([turn, way]) / sd[:, 2:])[by_turn],
         (wrap(steps[:, 2]) / sd[:, 2])[by_turn],
         np.array([1.0, 0.0]),
-        np.array([s.turn_scale_sd, s.heading_bias_sd]),
-        s,
+        np.array([WHEELS.scale_sd, WHEELS.heading_bias_sd]),
     )  # of turn' = a turn + c way = (turn - b way') / k
     by_bias = np.array([c * scale / a**2, -scale / a])
     return WheelParameters(
@@ -155,9 +155,7 @@ def identify_wheels(
     )
 
 
-def _regress(
-    rows: Floats, values: Floats, before: Floats, before_sd: Floats, settings: WheelSettings
-) -> tuple[Floats, Floats]:
+def _regress(rows: Floats, values: Floats, before: Floats, before_sd: Floats) -> tuple[Floats, Floats]:
     """Return robust coefficients (k,) and their covariance (k, k), given their prior mean and deviation (k,).
 
     The scatter starts from a fit of least absolute deviations without prior. Around a prior that is far off,
@@ -166,7 +164,7 @@ def _regress(
     kept = np.isfinite(values) & np.isfinite(rows).all(axis=1)
     prior = np.diag(before_sd**-2.0)
     theta, information = _least_deviations(rows[kept], values[kept], before), prior
-    least = settings.min_scatter if kept.sum() >= settings.stretches else 1.0  # few steps may agree by chance
+    least = MIN_SCATTER if kept.sum() >= STRETCHES else 1.0  # few steps may agree by chance
     scale = 1.0
     for _ in range(4):
         off = np.abs(values - rows @ theta)
@@ -176,9 +174,9 @@ def _regress(
         moment = rows[kept].T @ values[kept] / scale**2 + prior @ before
         theta = np.asarray(np.linalg.solve(information, moment), dtype=np.float64)
     inverse = np.linalg.inv(information)
-    stretch = np.arange(len(values)) * settings.stretches // max(len(values), 1)
+    stretch = np.arange(len(values)) * STRETCHES // max(len(values), 1)
     scores = rows * ((values - rows @ theta) * kept / scale**2)[:, None]
-    sums = np.column_stack([np.bincount(stretch, column, settings.stretches) for column in scores.T])
+    sums = np.column_stack([np.bincount(stretch, column, STRETCHES) for column in scores.T])
     n = len(np.unique(stretch[kept]))
     meat = sums.T @ sums * (n / (n - 1)) if n > 1 else information - prior
     return theta, np.asarray(inverse @ (meat + prior) @ inverse, dtype=np.float64)

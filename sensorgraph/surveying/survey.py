@@ -22,8 +22,8 @@ from sensorgraph.loading import load_arena, robot_in
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.locate import locate, located_run, place_of
 from sensorgraph.localization.map_check import best_fit, looks
-from sensorgraph.localization.map_settings import MAP_TRACKING
 from sensorgraph.localization.result import Localization
+from sensorgraph.localization.settings import MAP_TRACKING
 from sensorgraph.surveying.building import changed_places
 from sensorgraph.types import Floats
 from sensorgraph.world.described import with_robot

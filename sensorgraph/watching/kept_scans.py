@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import takewhile
 
-from sensorgraph.localization.global_search import LocalView
-from sensorgraph.localization.map_settings import MAP_TRACKING
+from sensorgraph.localization.global_search import MIN_POINTS, LocalView
 from sensorgraph.types import Floats
 from sensorgraph.watching.scan_input import ScanInput, apart, view_of
 from sensorgraph.watching.settings import TrackingPriors
@@ -43,7 +42,7 @@ class KeptScans:
         fits : Whether its readings have about the usual evidence at the most probable mode.
         """
         s = self.priors
-        if len(now.scan.points) < MAP_TRACKING.min_points:
+        if len(now.scan.points) < MIN_POINTS:
             return
         if now.observation.odometry is None:
             self._scans.clear()

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.transforms import compose, invert, wrap
+from sensorgraph.localization.global_search import MIN_POINTS
 from sensorgraph.localization.known_map import KnownMap
-from sensorgraph.localization.map_settings import MAP_TRACKING
-from sensorgraph.localization.matching import Match, match
+from sensorgraph.localization.matching import CORRELATION, Match, match
+from sensorgraph.localization.settings import MAP_TRACKING, MIN_INLIERS_IN_MAP
 from sensorgraph.localization.wheels import slip_of
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
@@ -110,7 +111,7 @@ def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING
     """Return a mode after a match of the scan; without one, its pose is that of the odometry."""
     if found is None:
         return replace(mode, is_matched=False)
-    information = np.linalg.inv(mode.covariance) + _positive(found.information) / MAP_TRACKING.correlation
+    information = np.linalg.inv(mode.covariance) + _positive(found.information) / CORRELATION
     covariance = np.asarray(
         np.linalg.inv(information) + np.diag(np.asarray(priors.map_floor) ** 2), dtype=np.float64
     )
@@ -120,7 +121,7 @@ def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING
 def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -> Match | None:
     """Match a scan near a pose; None without a match that the covariance allows."""
     s, scan = MAP_TRACKING, now.scan
-    if len(scan.points) < s.min_points:
+    if len(scan.points) < MIN_POINTS:
         return None
     prior = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     found = match(scan.points, scan.normals, place.surfaces, pose, prior_information=prior)
@@ -128,7 +129,7 @@ def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -
     off[2] = wrap(off[2])
     is_near = np.hypot(off[0], off[1]) < s.max_offset and abs(off[2]) < s.max_turn_offset
     is_allowed = off @ np.linalg.solve(covariance, off) < 25.0
-    if (is_near or is_allowed) and found.inliers >= s.inliers and found.agreement >= s.agreement:
+    if (is_near or is_allowed) and found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= s.agreement:
         return found
     return None
 

@@ -24,9 +24,8 @@ from logs.transforms import compose, invert
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import find_places
-from sensorgraph.localization.graph_walls import walls_of_graph
+from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.known_map import known_map
-from sensorgraph.localization.seen_space import seen_by_graph
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.kept_scans import KeptScans
 from sensorgraph.watching.laser_errors import RangeOffset
