@@ -53,13 +53,16 @@ def with_dead_reckoning(
     number = np.zeros(len(keys) + 1, dtype=np.intp)
     number[edges.edges.first[first] + 1] = first
     variances = np.zeros(len(keys))
+    known = (
+        np.zeros(3) if wheels is None else np.where(np.isfinite(wheels.deviations), wheels.deviations, 0.0)
+    )
     for start, stop in _stretches(is_open, has_edge):
         way = directions[start:stop] = _oriented(directions[start:stop])
         is_held = bool(has_edge[start]), bool(has_edge[stop])
         begin, end = start + (not is_held[0]), stop + is_held[1]
         toward = np.vstack([way, way[-1:]])[begin - start : end - start]
         walk = _walk(number[begin:end], toward, refined.poses[begin - 1 : end - 1], edges)
-        variances[start:stop] = _variances(*walk, _deviations(wheels), is_held)
+        variances[start:stop] = _variances(*walk, known, is_held)
     left, right, _ = tracked.between_key_frames()
     is_whole = tracked.piece[left] == tracked.piece[right]
     nearest = np.where(is_open[left] | ~is_whole, left, right)
@@ -128,13 +131,6 @@ def _variances(q: Floats, by: Floats, deviations: Floats, is_held: tuple[bool, b
         noise = noise + np.concatenate([np.cumsum((q * after_step**2)[::-1])[::-1], [0.0]])
         moved = shift - shift.mean(axis=0)
     return np.asarray(noise + ((moved * deviations) ** 2).sum(axis=1))
-
-
-def _deviations(wheels: WheelParameters | None) -> Floats:
-    if wheels is None:
-        return np.zeros(3)
-    found = np.array([wheels.way_scale_sd, wheels.turn_scale_sd, wheels.heading_bias_sd])
-    return np.where(np.isfinite(found), found, 0.0)
 
 
 def with_sweep_motion(covariances: Floats, stamps: Floats, poses: Floats, duration: float) -> Floats:

@@ -16,7 +16,7 @@ from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
 from sensorgraph.localization.line_map import LineMap, line_map, thinned
-from sensorgraph.localization.matching import CORRELATION, Match, match
+from sensorgraph.localization.matching import CORRELATION, START_OFFSET, Match, match
 from sensorgraph.localization.scan_track import (
     ScanTrack,
     TrackerState,
@@ -42,8 +42,10 @@ MIN_SHARE_ELSEWHERE, MIN_SHARE_AFTER_FAILURE = 0.85, 0.5
 the prediction after scans without a match."""
 AGREEMENT_RATE = 0.05
 """Weight of a new match in the usual agreement."""
-START_TURNS, START_OFFSETS = (0.0, -0.1, 0.1, -0.21, 0.21), (0.0, -0.25, 0.25)
+START_TURNS, START_OFFSETS = (0.0, -0.1, 0.1, -0.21, 0.21), (0.0, -START_OFFSET, START_OFFSET)
 """[rad], [m] Offsets of the other starts, in heading, and along or across."""
+SHORT_DRIVE = 120
+"""Number of scans of a part of a run that is tracked alone, as for `track_part`."""
 PATIENCE_SCANS = 5
 """Minimum number of scans without a match before a new track segment begins."""
 

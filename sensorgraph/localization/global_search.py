@@ -9,7 +9,7 @@ import numpy as np
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.known_map import KnownMap
-from sensorgraph.localization.matching import match
+from sensorgraph.localization.matching import START_OFFSET, match
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import GLOBAL_SEARCH
 from sensorgraph.types import Floats, Ints
@@ -22,9 +22,6 @@ HEADING_STEP = 0.0175
 """[rad] Step between headings."""
 MIN_SCORE = 0.25
 """Minimum mean of the field at the points."""
-RESTART_OFFSET = 0.25
-"""[m] Offset along x and y of matches that start again: the field has one place within `APART`, but close walls can hold a match
-at several poses."""
 MIN_JOINT_FIT = 0.25
 """Minimum fit of all scans at a place that the last scan alone fits: the map may lack what the other scans observed, but they
 must not contradict the place."""
@@ -263,8 +260,11 @@ def _judged(
 
 
 def _neighbours(poses: Floats) -> Floats:
-    """Return the eight neighbours of each of poses (n, 3), by `RESTART_OFFSET`: (8 n, 3)."""
-    way = RESTART_OFFSET
+    """Return the eight neighbours of each of poses (n, 3), by `START_OFFSET`: (8 n, 3).
+
+    The field has one place within `APART`, but close walls can hold a match at several poses.
+    """
+    way = START_OFFSET
     steps = np.array([(x, y, 0.0) for x in (-way, 0.0, way) for y in (-way, 0.0, way) if x or y])
     around: Floats = (poses[:, None] + steps).reshape(-1, 3)
     return around

@@ -12,7 +12,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.global_search import fit_at, local_view
 from sensorgraph.localization.known_map import KnownMap, SeenSpace, known_map
-from sensorgraph.localization.map_check import VIEW_SCANS, best_fit, looks, mirrored
+from sensorgraph.localization.map_check import DRIVE_SCANS, best_fit, looks, mirrored
 from sensorgraph.localization.map_tracking import MapMatches, MapTracker, rematch
 from sensorgraph.localization.matching import CORRELATION
 from sensorgraph.localization.moving_returns import with_motion_of_scans
@@ -189,7 +189,7 @@ def _rivals_fit(scans: ScanPoints, steps: ScanTrack, place: KnownMap, rivals: Ma
         near = np.flatnonzero(
             (piece == piece[k]) & (np.abs(driven - driven[k]) <= MAP_TRACKING.usual_distance)
         )
-        some = near[np.linspace(0, len(near) - 1, min(VIEW_SCANS, len(near))).astype(np.intp)]
+        some = near[np.linspace(0, len(near) - 1, min(DRIVE_SCANS, len(near))).astype(np.intp)]
         chosen = np.append(some[some != k], k)
         view = local_view(scans, chosen, steps.poses[chosen])
         for pose in poses:

@@ -10,7 +10,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.front_end import track_part
+from sensorgraph.localization.front_end import SHORT_DRIVE, track_part
 from sensorgraph.localization.global_search import LocalView, evenly, fit_at, joint_fit, local_view
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.odometry import odometry_of
@@ -21,9 +21,7 @@ from sensorgraph.types import Bools, Floats
 
 LOOKS = 5
 """Number of short drives that are searched before all scans are tracked. If none fits, the map is of another place."""
-LOOK_SCANS = 120
-"""Number of scans of such a drive."""
-VIEW_SCANS = 12
+DRIVE_SCANS = 12
 """Maximum number of the scans of a drive that are searched together."""
 
 
@@ -43,7 +41,7 @@ class Look:
     """Scan in whose frame the view is."""
 
 
-def looks(run: Run, n_looks: int = LOOKS, n: int = LOOK_SCANS) -> Iterator[Look]:
+def looks(run: Run, n_looks: int = LOOKS, n: int = SHORT_DRIVE) -> Iterator[Look]:
     """Yield short drives of n scans, evenly spaced along a run."""
     motion = odometry_of(run)
     for first in evenly(max(run.n_scans - n, 0) + 1, n_looks).tolist():
@@ -104,5 +102,5 @@ def _fits_beside(look: Look, place: KnownMap, pose: Floats) -> list[float]:
 def _view(scans: ScanPoints, found: ScanTrack, chosen: Bools) -> tuple[LocalView, int]:
     """Return the view of some key frames, chosen by a mask (n_key,), and the scan in whose frame it is."""
     frames = found.key_frames[chosen]
-    frames = frames[evenly(len(frames), VIEW_SCANS)]
+    frames = frames[evenly(len(frames), DRIVE_SCANS)]
     return local_view(scans, frames, found.poses[frames]), int(frames[-1])

@@ -2,6 +2,13 @@
 
 The motion between scans comes from the laser odometry (`front_end`), since drifting wheels are a poor prior.
 Scans before the first search result are tracked backwards from there.
+
+With the fit f_k of scan k at its pose (`global_search.fit_of`), dt since the scan before and way driven, the averaged fit and the
+usual one are
+
+    fit += (f_k - fit) min(dt / FIT_MEMORY, 1),  usual += (f_k - usual) min(way / usual_distance, 1).
+
+The robot is lost where fit < max(min_fit, loss_share usual), or without an accepted match for too long.
 """
 
 from __future__ import annotations

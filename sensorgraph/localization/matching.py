@@ -33,6 +33,8 @@ MIN_WEIGHT = 2.0
 """Sum of neighbour weights below which no line is fitted."""
 INLIER = 2.0
 """Number of standard deviations within which a point is an inlier."""
+START_OFFSET = 0.25
+"""[m] Offset along or across at which a match starts again where the first one does not fit."""
 CORRELATION = 2.0
 """Factor by which the information of a match of one scan is reduced, since its residuals are correlated: neighbouring rays, and
 scans, share surfaces."""

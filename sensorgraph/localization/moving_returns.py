@@ -74,7 +74,7 @@ def with_motion_of_scans(followed: TrackedRun, progress: Progress) -> TrackedRun
     measured = odometry_of(run) if run.sensor.has_ray_delays else None
     if odometry is None or measured is None or tracked.wheels is None:
         return followed
-    wheels, usable = learned_wheels(followed), is_measured(measured, run.stamps)
+    wheels, usable = tracked.wheels.parameters, is_measured(measured, run.stamps)
     contrast = Contrast.of(run.stamps, tracked.poses, odometry, usable, wheels)
     is_between_pieces = tracked.within(np.diff(tracked.piece) != 0)  # their frames differ
     chosen = contrast.contradicted(run.n_scans) & tracked.matched & ~is_between_pieces
@@ -90,13 +90,14 @@ def with_motion_of_scans(followed: TrackedRun, progress: Progress) -> TrackedRun
 def without_moving_returns(followed: TrackedRun, progress: Progress) -> TrackedRun:
     """Return a tracked run without the readings that go along with the robot, and a note where there are any."""
     run, odometry, measured = followed.run, followed.odometry, odometry_of(followed.run)
-    if odometry is None or measured is None or followed.track.wheels is None:
+    learned = followed.track.wheels
+    if odometry is None or measured is None or learned is None:
         return followed
     usable, whole = is_measured(measured, run.stamps), followed.scans
     dropped = np.zeros(len(whole.points), dtype=np.bool_)
     thinned = np.zeros(run.n_scans, dtype=np.bool_)
     for _ in range(ROUNDS):
-        wheels = learned_wheels(followed)
+        wheels = learned.parameters
         contrast = Contrast.of(run.stamps, followed.track.poses, odometry, usable, wheels)
         verdict = _judged(whole, contrast)
         thin, useless = verdict.is_false & ~thinned, verdict.is_sure & thinned
@@ -108,7 +109,8 @@ def without_moving_returns(followed: TrackedRun, progress: Progress) -> TrackedR
             dropped[whole.of(k)] = _goes_along(whole, k, contrast, odometry, wheels)
         thinned |= thin
         scans = whole.without(dropped)
-        followed = replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress))
+        tracked = track(scans, run.stamps, odometry, progress)
+        followed, learned = replace(followed, scans=scans, track=tracked), tracked.wheels or learned
     if not thinned.any():
         return followed
     return replace(followed, notes=(*followed.notes, _note(run.stamps, thinned, dropped, whole)))
@@ -133,18 +135,8 @@ def confirms_odometry(scans: ScanPoints, stamps: Floats, poses: Floats, odometry
     stamps : (n_scans,) [s]
     poses, odometry : (n_scans, 3) [m, m, rad] By the scans alone and by the odometry, without errors of the wheels.
     """
-    wheels = WheelParameters(way_scale=1.0, turn_scale=1.0, heading_bias=0.0)
-    contrast = Contrast.of(stamps, poses, odometry, np.ones(len(stamps), dtype=np.bool_), wheels)
+    contrast = Contrast.of(stamps, poses, odometry, np.ones(len(stamps), dtype=np.bool_), WheelParameters())
     return bool(_judged(scans, contrast).is_false.mean() > 0.5)
-
-
-def learned_wheels(followed: TrackedRun) -> WheelParameters:
-    """Return the wheel parameters that the tracking of a run with odometry has learned."""
-    learned = followed.track.wheels
-    assert learned is not None
-    return WheelParameters(
-        way_scale=learned.way_scale, turn_scale=learned.turn_scale, heading_bias=learned.heading_bias
-    )
 
 
 def _judged(scans: ScanPoints, contrast: Contrast) -> OdometryVerdict:

@@ -32,7 +32,7 @@ from sensorgraph.localization.course import (
     with_course,
     with_heading,
 )
-from sensorgraph.localization.front_end import track_part
+from sensorgraph.localization.front_end import SHORT_DRIVE, track_part
 from sensorgraph.localization.missing_odometry import without_corrections
 from sensorgraph.localization.moving_returns import confirms_odometry
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
@@ -41,8 +41,6 @@ from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import SIGNIFICANT
 from sensorgraph.types import Floats
 
-N_SCANS = 120
-"""Number of scans of the segment that is tracked by the scans alone."""
 EVERY = 4
 """Number of scans of a step, so that the noise of a match is small against its motion."""
 MIN_MATCHED = 0.9
@@ -250,10 +248,10 @@ def _compared(run: Run, motion: Motion, odometry: Floats, moved: Floats, parts: 
     None if the scans alone cannot be tracked there, or do not determine these parts of a motion ahead, left and turn.
     """
     total = np.concatenate([[0.0], np.cumsum(moved)])
-    first = int(np.argmax(total[N_SCANS:] - total[:-N_SCANS])) if len(total) > N_SCANS else 0
+    first = int(np.argmax(total[SHORT_DRIVE:] - total[:-SHORT_DRIVE])) if len(total) > SHORT_DRIVE else 0
     begin = int(np.searchsorted(run.stamps, motion.stamps[0]))
     end = int(np.searchsorted(run.stamps, motion.stamps[-1], side="right"))
-    stretch = slice(max(first, begin), min(first + N_SCANS, end))
+    stretch = slice(max(first, begin), min(first + SHORT_DRIVE, end))
     scans, found = track_part(run, stretch)
     is_seen = (np.einsum("nii->ni", found.projections)[:, parts] > 0.5).all(axis=1)  # not along a corridor
     if (

@@ -1,4 +1,9 @@
-"""Cut surfaces into short straight patches, and assign points to them."""
+"""Cut surfaces into short straight patches, and assign points to them.
+
+The middles m_p of the patches are means of points in cells of a side s, moved onto the line n_p · (x - c_p) = 0 that is fitted to
+the points within s (`line_map`): m_p -= n_p n_p · (m_p - c_p). Of middles closer than 0.6 s one is kept. A point x belongs to the
+nearest patch with |x - m_p| < s and |n_p · (x - m_p)| below a gate.
+"""
 
 from __future__ import annotations
 

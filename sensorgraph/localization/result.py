@@ -48,10 +48,14 @@ class WheelParameters:
     heading_bias_sd: float = 0.0
     """[rad/m] standard error of `heading_bias`."""
 
+    @property
+    def deviations(self) -> Floats:
+        """(3,) Standard errors of distance scale, turn scale and heading bias."""
+        return np.array([self.way_scale_sd, self.turn_scale_sd, self.heading_bias_sd])
+
     def at_least(self, deviations: Floats) -> WheelParameters:
         """Return the parameters with standard errors that are at least `deviations` (3,)."""
-        found = (self.way_scale_sd, self.turn_scale_sd, self.heading_bias_sd)
-        way, turn, bias = (float(sd) for sd in np.maximum(found, deviations))
+        way, turn, bias = (float(sd) for sd in np.maximum(self.deviations, deviations))
         return replace(self, way_scale_sd=way, turn_scale_sd=turn, heading_bias_sd=bias)
 
     def __str__(self) -> str:

@@ -173,7 +173,7 @@ def _thin(points: Floats, used: Bools, spacing: float, kept: Bools) -> None:
 
 @kernel
 def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: float, normals: Floats) -> None:
-    """Fit a line to the neighbours of each point along its scan; the normal points to the laser."""
+    """Fit a line to the neighbours of each point along its scan, their principal axis (`line_map`); the normal points to the laser."""
     n_scans, n_rays = used.shape
     for i in range(n_scans):
         for k in range(n_rays):

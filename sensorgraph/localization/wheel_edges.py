@@ -101,14 +101,7 @@ class WheelSteps:
         if found is None or n == 0:
             sd = np.full((n, 3), UNKNOWN_SD) if self.deviations is None else self.deviations
             loose = np.eye(3) / sd[:, None, :] ** 2
-            return WheelEdges(
-                edges=PoseEdges(
-                    first=self.first, second=self.first + 1, relative=measured, information=loose
-                ),
-                by_parameters=np.zeros((n, 3, 3)),
-                prior=np.eye(3),
-                pull=np.zeros(3),
-            )
+            return self._edges(measured, loose, np.zeros((n, 3, 3)), np.eye(3), np.zeros(3))
         relative = corrected_steps(self.steps, found.way_scale, found.turn_scale, found.heading_bias)
         way = signed_distance(self.steps)
         sd = WheelEstimate().deviations(np.abs(way), relative[:, 2])
@@ -130,14 +123,13 @@ class WheelSteps:
         by[:, :2, 2], by[:, 2, 2] = -turned * way[:, None], -way
         prior = np.array([WHEELS.scale_sd, WHEELS.scale_sd, WHEELS.heading_bias_sd]) ** -2.0
         off_prior = np.array([found.way_scale - 1.0, found.turn_scale - 1.0, found.heading_bias])
-        return WheelEdges(
-            edges=PoseEdges(
-                first=self.first, second=self.first + 1, relative=relative, information=information
-            ),
-            by_parameters=by,
-            prior=np.diag(prior),
-            pull=prior * off_prior,
-        )
+        return self._edges(relative, information, by, np.diag(prior), prior * off_prior)
+
+    def _edges(
+        self, relative: Floats, information: Floats, by_parameters: Floats, prior: Floats, pull: Floats
+    ) -> WheelEdges:
+        edges = PoseEdges(first=self.first, second=self.first + 1, relative=relative, information=information)
+        return WheelEdges(edges=edges, by_parameters=by_parameters, prior=prior, pull=pull)
 
     def _scatter(self, off: Floats) -> Floats:
         """Return the noise (3,) of the wheels relative to the standard deviations, from steps (n, 3) that the scans determine.

@@ -38,6 +38,13 @@ class WheelEstimate:
         self._turn_moment = np.array([sds[0] ** -2, 0.0])
         self.way_scale, self.turn_scale, self.heading_bias = 1.0, 1.0, 0.0
 
+    @property
+    def parameters(self) -> WheelParameters:
+        """The estimate, without standard errors."""
+        return WheelParameters(
+            way_scale=self.way_scale, turn_scale=self.turn_scale, heading_bias=self.heading_bias
+        )
+
     def corrected(self, steps: Floats) -> Floats:
         """Return odometry steps (..., 3) [m, m, rad] in base_link, corrected by the estimate."""
         return corrected_steps(steps, self.way_scale, self.turn_scale, self.heading_bias)
