@@ -27,8 +27,7 @@ from scipy.stats import binomtest
 
 from benchmarks.arguments import existing, parser_of
 from benchmarks.hidden_effects.results import Case, load
-from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import Facts, Verdict
+from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger, Verdict
 from sensorgraph.effects import EFFECTS
 
 DUE_TO_UNKNOWN = ("absorbed_by_unknown", "part_of_unknown", "weaker_than_unknown")

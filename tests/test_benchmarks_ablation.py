@@ -10,8 +10,7 @@ import pytest
 
 from benchmarks.ablation import Answer, ablate, answer, main, paired_interval, scaled, without_hypothesis
 from benchmarks.hidden_effects.results import Case
-from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import Facts, Objection
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Facts, Ledger, Objection
 
 ACCEPTED = Facts(
     has_name=True,

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from sensorgraph.diagnosis import bounded_least_squares
-from sensorgraph.diagnosis.bounded_least_squares import BorderedProblem, solve_bounded
 from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
-from sensorgraph.diagnosis.scan.normal_equations import boxed
+from sensorgraph.diagnosis.scan import normal_equations as bounded_least_squares
+from sensorgraph.diagnosis.scan.normal_equations import BorderedProblem, boxed, solve_bounded
 from sensorgraph.types import Floats
 
 

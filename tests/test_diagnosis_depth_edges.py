@@ -12,7 +12,7 @@ from scan_samples import data_of
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays
+from sensorgraph.diagnosis.scan.corner_sums import corners_between_rays
 from sensorgraph.diagnosis.scan.depth_edges import find_edges
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.types import Floats, Ints

@@ -12,7 +12,7 @@ from scan_samples import checked_of, data_of, hall_arena
 
 from planners.types import Floats
 from sensorgraph.diagnosis.report.data import unknown_dict
-from sensorgraph.diagnosis.report.figures.residuals import profile_picture
+from sensorgraph.diagnosis.report.residual_figures import profile_picture
 from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check

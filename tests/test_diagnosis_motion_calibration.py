@@ -16,15 +16,13 @@ import sensorgraph as sg
 from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.diagnosis.engine.ledger import Ledger
-from sensorgraph.diagnosis.engine.verdict import Verdict
+from sensorgraph.diagnosis.engine.ledger import Ledger, Verdict
 from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, driving_ledger
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
-from sensorgraph.diagnosis.report.driving_files import save_driving
-from sensorgraph.diagnosis.report.files import save_report
+from sensorgraph.diagnosis.report.files import save_driving, save_report
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.diagnosis.without_reference import driving_of, with_driving
 from sensorgraph.errors import SensorgraphError

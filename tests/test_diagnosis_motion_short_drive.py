@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.motion.calibration.comparison import compare
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion, laser_motion
 from sensorgraph.diagnosis.motion.calibration.verdict import headline, lines_of, verdict
-from sensorgraph.diagnosis.report.driving_files import save_driving
+from sensorgraph.diagnosis.report.files import save_driving
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot

@@ -11,7 +11,10 @@ from test_diagnosis_commissioning import ARENA, ROBOT, SENSOR, ranges_in
 from logs.run import Run
 from planners.types import Floats
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.reading_laws import (
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.scan_data import prepare_scans
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import (
     CAUSES,
     PEOPLE,
     STRAYS,
@@ -19,9 +22,6 @@ from sensorgraph.diagnosis.scan.reading_laws import (
     better_law,
     law_scores,
 )
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
-from sensorgraph.diagnosis.scan.scan_data import prepare_scans
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools
 
 T = np.arange(300) * 0.1

@@ -35,7 +35,7 @@ from sensorgraph.diagnosis.result import (
     Rival,
     without_close_calls,
 )
-from sensorgraph.diagnosis.stages import STAGES as DIAGNOSIS_STAGES
+from sensorgraph.diagnosis.scan_channel import STAGES as DIAGNOSIS_STAGES
 from sensorgraph.effects import EFFECTS, effects_file
 from sensorgraph.types import Progress
 from sensorgraph.world.robot import parse_robot

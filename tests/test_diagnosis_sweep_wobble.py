@@ -12,8 +12,7 @@ from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.replicates import replicate
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.residuals import FitResiduals, replicate
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.sweep_wobble import (

@@ -30,7 +30,8 @@ OWNERS = {
     "matplotlib": {
         "logs/run_figure.py",
         "sensorgraph/show/figures/",
-        "sensorgraph/diagnosis/report/figures/",
+        "sensorgraph/diagnosis/report/arena_figure.py",
+        "sensorgraph/diagnosis/report/residual_figures.py",
     },
     "typer": {"sensorgraph/cli/"},
     "rich": {"sensorgraph/cli/"},

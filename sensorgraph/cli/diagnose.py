@@ -210,7 +210,7 @@ def _drive_alone(
     from sensorgraph.cli.inputs import print_log_notes, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
-    from sensorgraph.diagnosis.report.driving_files import save_driving
+    from sensorgraph.diagnosis.report.files import save_driving
     from sensorgraph.intake import log_notes
     from sensorgraph.world.robot import load_robot
 

@@ -32,8 +32,15 @@ from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import shortlist
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
-from sensorgraph.diagnosis.scan.site_variation import pose_tolerances, shift_tolerances, single_effects
-from sensorgraph.diagnosis.scan.worth import must_be_spread, price, spread_evidence, surely_stands
+from sensorgraph.diagnosis.scan.worth import (
+    must_be_spread,
+    pose_tolerances,
+    price,
+    shift_tolerances,
+    single_effects,
+    spread_evidence,
+    surely_stands,
+)
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
 from sensorgraph.robust import rms

@@ -33,10 +33,14 @@ from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, diagnose_scans, shows_straight_reference
+from sensorgraph.diagnosis.scan_channel import (
+    ScanDiagnosis,
+    StageClock,
+    diagnose_scans,
+    shows_straight_reference,
+)
 from sensorgraph.diagnosis.simulation import shared_with, without_shared
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
-from sensorgraph.diagnosis.stages import StageClock
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME

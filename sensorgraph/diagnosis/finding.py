@@ -13,10 +13,10 @@ from sensorgraph.diagnosis.ledger import ledger_of
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.next_run.design import NextRun
 from sensorgraph.diagnosis.result import ChannelResult, Gap, Unknown
-from sensorgraph.diagnosis.scan.each_scan import tolerance_scale
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.unnamed.scans_elsewhere import tolerance_scale
 from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 

@@ -1,8 +1,10 @@
-"""Scan channel: search for effects, test for unmodelled structure, measure the gap, list unobservable effects."""
+"""Scan channel: search for effects, test for unmodelled structure, measure the gap, list unobservable effects; in timed stages."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +25,19 @@ from sensorgraph.diagnosis.scan.scatter_scale import doubt_of_scatter, freed_sca
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.simulation import counterpart, is_same_size
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
-from sensorgraph.diagnosis.stages import StageClock
 from sensorgraph.effects import Amendment
-from sensorgraph.types import Progress
+from sensorgraph.types import Progress, ProgressBars, no_progress
+
+STAGES = {
+    "intake": "aligning scans with the arena",
+    "odometry and drive": "",
+    "explain": "",
+    "criticise": "testing for unexplained structure",
+    "prove": "measuring the gap",
+    "observable": "testing what the run could show",
+    "next run": "planning the next run",
+}
+"""Name, as in timing.json -> label of its progress bar; empty: the stage opens bars itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,3 +188,22 @@ def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> b
     claimed = (size.get("reference_m", 0.0) / told.pose_xy, size.get("reference_rad", 0.0) / told.pose_yaw)
     is_sure = scans.result.unknown is None and state.stretch <= SCAN.nuisance.stretched_scale
     return is_sure and max(claimed) > SCAN.goodness_of_fit.bent_reference * state.pose_scale
+
+
+class StageClock:
+    """CPU time and progress bar of each stage."""
+
+    def __init__(self, progress: ProgressBars) -> None:
+        self.seconds: dict[str, float] = {}
+        self.progress = progress
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Progress]:
+        """Show a progress bar during a stage, and add its CPU time afterwards."""
+        begin, label = time.process_time(), STAGES[name]
+        with (self.progress if label else no_progress)(
+            label, "replicates" if name == "criticise" else ""
+        ) as tick:
+            tick(0, 1)
+            yield tick
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - begin

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.bounded_least_squares import solve_bounded
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.scan.normal_equations import solve_bounded
 from sensorgraph.effects import Effect
 from sensorgraph.types import Bools, Floats, Ints
 

@@ -13,14 +13,13 @@ from functools import cached_property
 import numpy as np
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
+from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace, MotionKind, candidate_motions
 from sensorgraph.diagnosis.next_run.design import motion_samples
 from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS, OpenQuestion, planned_scans
 from sensorgraph.diagnosis.result import ChannelResult
-from sensorgraph.diagnosis.scan.exposure import RunExposure
 from sensorgraph.diagnosis.scan.fit import cast, fit, start_state
-from sensorgraph.diagnosis.scan.observability import separation
+from sensorgraph.diagnosis.scan.observability import RunExposure, separation
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import Robot

@@ -1,17 +1,23 @@
-"""What was considered, and what decided: the table of the page, and the last line of the terminal."""
+"""What was considered, and what decided: the table of the page, the last line of the terminal, and effects that wide tolerances hide."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from html import escape
 
-from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import DecidedBy, Verdict
+import numpy as np
+
+from sensorgraph.diagnosis.engine.ledger import DecidedBy, Entry, Ledger, Verdict
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.ledger import not_observable
 from sensorgraph.diagnosis.report.page_shell import without_breaks
 from sensorgraph.diagnosis.report.quantities import minus
-from sensorgraph.effects import EFFECTS
+from sensorgraph.diagnosis.scan.nuisance import prior_widths
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.effects import EFFECTS, Amendment, Effect
+from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.world.robot import Tolerances
 
 ORDER = {
     Verdict.NAMED: 0,
@@ -24,6 +30,9 @@ OPEN = (DecidedBy.OBJECTION, DecidedBy.IMMATERIAL, DecidedBy.BEATEN)
 N_WEAK = 6
 """Number of other silent hypotheses that are listed first."""
 SHORT = "a simulation without it is "
+WIDE = 2.0
+"""Largest hidden size of an effect, in units of its materiality, above which a tolerance is called wide. The defaults of
+robot.yaml stay below 1.2."""
 
 
 def considered_section(ledger: Ledger) -> str:
@@ -98,3 +107,59 @@ def _row(entry: Entry) -> str:
 
 def _number(value: float | None) -> str:
     return "–" if value is None else minus(f"{value:,.0f}" if abs(value) >= 99.5 else f"{value:.1f}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tolerated:
+    """An effect that a tolerance hides."""
+
+    tolerance: str
+    """Its key in robot.yaml."""
+    most: Amendment
+    """The largest hidden size."""
+    taken: Amendment | None
+    """The size absorbed in this run, if it exceeds the materiality."""
+
+
+def tolerated(finding: Finding) -> list[Tolerated]:
+    """List the effects that the tolerances of this run hide."""
+    tolerances = finding.data.tolerances
+    present = {a.name for a in finding.effects}
+    out = []
+    for effect in _tolerated_effects():
+        most = _largest(effect, tolerances)
+        if effect.name in present or most.ratio <= WIDE:
+            continue
+        taken = _taken(effect, finding)
+        is_material = taken is not None and taken.ratio >= 1.0
+        out.append(
+            Tolerated(tolerance=effect.diagnostics.tolerance, most=most, taken=taken if is_material else None)
+        )
+    return out
+
+
+def _tolerated_effects() -> list[Effect]:
+    """Return the effects that a tolerance can hide, in the order of the keys in robot.yaml."""
+    keys = [f.name for f in fields(Tolerances)]
+    own = [effect for effect in EFFECTS.values() if effect.diagnostics.tolerance]
+    return sorted(own, key=lambda effect: keys.index(effect.diagnostics.tolerance))
+
+
+def _largest(effect: Effect, tolerances: Tolerances) -> Amendment:
+    """Return the largest size of an effect that its tolerance hides, along its first parameter."""
+    first, *others = effect.steps
+    if effect.nuisances:
+        bound = SCAN.nuisance.max_tolerances * prior_widths(tolerances)[effect.nuisances[0]]
+    else:
+        bound = SCAN.nuisance.max_tolerances * getattr(tolerances, effect.diagnostics.tolerance)
+    return effect(**{first: float(bound)}, **dict.fromkeys(others, 0.0))
+
+
+def _taken(effect: Effect, finding: Finding) -> Amendment | None:
+    """Return the error that a tolerance absorbed in this run, expressed as the effect."""
+    if finding.explained is None:
+        return None
+    g = finding.explained.final.state.g
+    corners = g[len(Nuisance) :]
+    values = g[list(effect.nuisances)] if effect.nuisances else [np.abs(corners).max(initial=0.0)]
+    return effect(**dict(zip(effect.steps, map(float, values), strict=True)))

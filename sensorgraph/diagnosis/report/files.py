@@ -1,15 +1,16 @@
 """Write the report of a diagnosis: report.json, report.html, effects.yaml, review.rrd and pictures in one folder.
 
-The viewer shows a short report in markdown next to the scans. A `Diagnosis` is a finding with the arena and the robot it is about,
-which prints itself and saves its report.
+A `Diagnosis` is a finding with the arena and the robot it is about, which prints itself and saves its report; a
+`DrivingDiagnosis` is that of runs without arena and reference poses.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,15 @@ from logs.files import atomic_file
 from logs.html_table import html_table
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
+from sensorgraph.diagnosis.motion.calibration.words import ABSORBED
 from sensorgraph.diagnosis.report import data
+from sensorgraph.diagnosis.report.arena_figure import arena_picture, marks, next_run_picture, wall_sections
 from sensorgraph.diagnosis.report.comparison import ComparedScans, compare
-from sensorgraph.diagnosis.report.data import plain, to_dict
-from sensorgraph.diagnosis.report.figures.arena import arena_picture, marks, next_run_picture, wall_sections
-from sensorgraph.diagnosis.report.figures.calibration import calibration_picture
-from sensorgraph.diagnosis.report.figures.residuals import gap_picture, profile_picture, residuals_picture
-from sensorgraph.diagnosis.report.html import page
+from sensorgraph.diagnosis.report.considered import considered_section
+from sensorgraph.diagnosis.report.data import UNITS, calibrations, effect_dict, plain, to_dict
+from sensorgraph.diagnosis.report.html import driving_section, page
+from sensorgraph.diagnosis.report.page_shell import page_shell, warnings
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
     parameters,
@@ -31,6 +34,12 @@ from sensorgraph.diagnosis.report.quantities import (
     place_text,
 )
 from sensorgraph.diagnosis.report.rerun_view import write as write_review
+from sensorgraph.diagnosis.report.residual_figures import (
+    calibration_picture,
+    gap_picture,
+    profile_picture,
+    residuals_picture,
+)
 from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.result import Gap
 from sensorgraph.effects import effects_file
@@ -221,3 +230,94 @@ def _gaps(finding: Finding) -> dict[str, Gap]:
     first = [n for n, result in measured.items() if result.effects or result.unknown is not None]
     names = dict.fromkeys([*first, *(n for n in measured if n == "scan")]) or dict.fromkeys(measured)
     return {name: gap for name in names if (gap := measured[name].gap) is not None}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrivingDiagnosis(DrivingFinding):
+    """Result of `sensorgraph.diagnose` for runs without arena and reference poses."""
+
+    @classmethod
+    def of(cls, finding: DrivingFinding) -> DrivingDiagnosis:
+        """Add printing and saving to a finding."""
+        return cls(**{f.name: getattr(finding, f.name) for f in fields(DrivingFinding)})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `report.json` holds; plain data."""
+        return driving_dict(self)
+
+    def save(self, folder: Path | str) -> Path:
+        """Write the report into a folder; all of it or nothing."""
+        save_driving(self, Path(folder), {})
+        return Path(folder)
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines)
+
+
+def save_driving(
+    finding: DrivingFinding, folder: Path, settings: Mapping[str, Any], log_notes: Sequence[str] = ()
+) -> None:
+    """Write the report into a folder; all of it or nothing.
+
+    Parameters
+    ----------
+    log_notes : warnings of the readers of the runs
+    """
+    with atomic_folder(folder) as part:
+        kept = {"version": __version__, **settings}
+        report = plain({**driving_dict(finding), "settings": kept})
+        report["intake"]["log_notes"] = list(log_notes)
+        with atomic_file(part / "report.json") as file:
+            file.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        effects_file.write(finding.effects, part / "effects.yaml")
+        calibration_picture(finding.runs, part / "calibration.png")
+        with atomic_file(part / "report.html") as file:
+            file.write_text(_page(finding, part / "calibration.png", log_notes), encoding="utf-8")
+        remove_old_report(folder)
+
+
+def driving_dict(finding: DrivingFinding) -> dict[str, Any]:
+    """Return the report as plain data; keys that need an arena or reference poses are empty."""
+    return {
+        "effects": [effect_dict(a) for a in finding.effects],
+        "unknown": None,
+        "where": None,
+        "runner_up": None,
+        "gap": None,
+        "within_tolerance": [],
+        "not_observable": {**finding.hidden, **ABSORBED},
+        "ledger": finding.ledger.to_list(),
+        "next_run": None,
+        "intake": {"reference": "none: located from scans and wheels", "runs": list(finding.runs)},
+        "calibration": calibrations(finding),
+        "comparison": [
+            {
+                "name": d.name,
+                "difference": d.value,
+                "stderr": d.stderr,
+                "unit": UNITS[d.name],
+                "differs": d.differs,
+                "material": d.is_material,
+            }
+            for d in finding.differences
+        ],
+        "summary": finding.lines,
+    }
+
+
+def _page(finding: DrivingFinding, drawn: Path, log_notes: Sequence[str]) -> str:
+    """Return a self-contained page."""
+    title, *rest = finding.verdict
+    absorbed = "".join(f"<li>{escape(why)}</li>" for why in ABSORBED.values())
+    is_found = bool(finding.effects) or any(d.differs and d.is_material for d in finding.differences)
+    return page_shell(
+        headline=title,
+        lead=[*rest, *warnings(log_notes)],
+        eyebrow=f"sensorgraph diagnose: {' and '.join(finding.runs)}, wheels and mount from driving alone",
+        kind="found" if is_found or any(finding.changes.values()) else "calm",
+        sections=[
+            driving_section(finding, drawn, heading=""),
+            f"<h2>What the poses absorb</h2><ul>{absorbed}</ul>",
+            considered_section(finding.ledger),
+        ],
+    )

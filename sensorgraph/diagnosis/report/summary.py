@@ -8,8 +8,8 @@ from enum import StrEnum
 
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.words import EFFECT_OF
+from sensorgraph.diagnosis.report.considered import tolerated
 from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
-from sensorgraph.diagnosis.report.tolerated import tolerated
 from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.simulation import NOISE_RATIO, SimulationComparison

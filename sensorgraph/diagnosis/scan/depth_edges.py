@@ -17,7 +17,7 @@ from scipy.special import ndtri
 
 from planners.kernel import kernel
 from sensorgraph.diagnosis.scan.beam_mixture import MIN_SHORT_RANGE
-from sensorgraph.diagnosis.scan.corners_between_rays import corners_between_rays
+from sensorgraph.diagnosis.scan.corner_sums import corners_between_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints

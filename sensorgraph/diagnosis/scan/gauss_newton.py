@@ -22,10 +22,15 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dtrtri
 
-from sensorgraph.diagnosis.bounded_least_squares import BoundedOptimum
 from sensorgraph.diagnosis.scan.corner_sums import Corners, corner_sums
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
-from sensorgraph.diagnosis.scan.normal_equations import System, boxed_optimum, with_prior, without_poses
+from sensorgraph.diagnosis.scan.normal_equations import (
+    BoundedOptimum,
+    System,
+    boxed_optimum,
+    with_prior,
+    without_poses,
+)
 from sensorgraph.diagnosis.scan.nuisance import (
     BeamNoise,
     Jacobian,

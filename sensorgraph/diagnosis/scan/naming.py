@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sensorgraph.diagnosis.engine.verdict import Objection
+from sensorgraph.diagnosis.engine.ledger import Objection
 from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.result import (
     ChannelResult,
@@ -30,10 +30,9 @@ from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_variation import is_within_baseline
 from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander, material_probability
 from sensorgraph.diagnosis.scan.unnamed import Doubt, titles
-from sensorgraph.diagnosis.scan.worth import n_parameters
+from sensorgraph.diagnosis.scan.worth import is_within_baseline, n_parameters
 from sensorgraph.effects import Amendment
 
 IMITATED = Objection("mean_pose_error", "the mean error of a reference that drifts may imitate it")

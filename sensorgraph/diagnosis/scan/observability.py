@@ -6,19 +6,30 @@ Here x is an effect of the scan channel, written as a shift of the nuisance para
 of the fit with the pose errors eliminated, and n are the nuisance parameters with their tolerances tau. The
 evidence is the log Bayes factor that this run would contribute if the effect were present. For effects without
 derivatives, the rays that would be lost or change their reading are counted instead.
+
+Evidence that the rays of a run would provide for an effect.
+
+The expected evidence of a smooth change x is ½ xᵀ M x, minus the part that bounded nuisances absorb. M is the Fisher
+information with the poses eliminated. For missing returns it is the expected log-likelihood ratio of the losses.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
-from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
-from sensorgraph.diagnosis.scan.exposure import RunExposure
-from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
+from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
+from sensorgraph.diagnosis.scan.gauss_newton import Solver
+from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
+from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.exposures import falls_short, listed
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats
 
 
 def not_observable(data: ScanData, fitted: Fitted) -> dict[str, str]:
@@ -127,3 +138,109 @@ def separation(a: Amendment, b: Amendment) -> str:
         hint
         or f"{a.effect.title} varies with {a.effect.varies}; {b.effect.title} varies with {b.effect.varies}"
     )
+
+
+class RunExposure:
+    """Surfaces, ranges and angles that the rays of a run met (see `sensorgraph.effects.interfaces.Exposure`)."""
+
+    def __init__(self, data: ScanData, fitted: Fitted) -> None:
+        self.data, self.fitted = data, fitted
+        self.system, self.solver = fitted.solution.system, fitted.solver
+        self.tau = self.solver.scaled(fitted.state)
+        self.n = self.solver.n_g
+        self.arena, self.sensor = data.arena, data.sensor
+        self.twists, self.span = data.twists, data.span
+        self.beams, expected = fitted.cast.beams, fitted.cast.expected
+        self.reading = expected.reading
+        with np.errstate(invalid="ignore"):
+            self.seen = (expected.reading < data.sensor.range_max) & (expected.p_return > 0.5)
+        self.seen &= ~np.isnan(data.ranges)
+        self.valid = self.solver.jacobian.valid
+        self.wall = self.beams.wall
+        self.incidence = np.where(self.seen, np.nan_to_num(self.beams.incidence), 0.0)
+        self.range = np.where(self.seen, self.reading, 0.0)
+        self.n_seen = int(self.seen.sum())
+        noise, bounds = fitted.state.noise, SCAN.noise
+        self.core = bounds.core
+        self.loss = max(bounds.loss[1], noise.loss)
+        self.stray = max(bounds.stray[1], noise.stray)
+
+    def need(self, amendment: Amendment) -> float:
+        """Return the evidence [nats] that is required to name an effect."""
+        return SCAN.selection.threshold + price(amendment, self.data)
+
+    def need_of(self, effect: Effect) -> float:
+        """Return the evidence [nats] that is required to name an effect with all its parameters."""
+        return self.need(effect(**{p.name: 1.0 for p in effect.parameters}))
+
+    @cached_property
+    def hypotheses(self) -> list[Hypothesis]:
+        """Smooth effects as directions in the space of the nuisances."""
+        return hypotheses(self.data, self.fitted)
+
+    def nats(self, shift: Floats) -> float:
+        """Return the expected evidence if the truth differs by `shift` (n_g,) from a model without it."""
+        matrix = self.system.matrix
+        x = np.concatenate([shift, np.zeros(len(matrix) - self.n)])
+        return _missing(matrix, matrix @ x, float(x @ matrix @ x), self.tau, self.solver.locked)
+
+    def nats_of_columns(self, columns: Floats, size: float) -> list[float]:
+        """Return the expected evidence [nats] of each of several smooth changes of the readings, with nuisances refitted.
+
+        Parameters
+        ----------
+        columns : (n_scans, k, n_rays) Change of the readings per unit.
+        size : Size of the change, in units.
+        """
+        old, n = self.solver, self.n
+        solver = Solver(
+            self.data,
+            old.expected,
+            old.jacobian,
+            self.fitted.cast.scene.walls,
+            columns,
+            old.corners,
+            old.locked,
+        )
+        weight = self.fitted.solution.responsibilities.weight
+        matrix = solver.assemble(weight, self.fitted.state.pose_scale).matrix
+        nuisances = matrix[:n, :n]
+        return [
+            _missing(nuisances, size * matrix[:n, k], float(size * size * matrix[k, k]), self.tau, old.locked)
+            for k in range(n, n + columns.shape[1])
+        ]
+
+    def nats_alone(self, effect: Effect) -> float:
+        """Return the minimum evidence [nats] over the parameters of a smooth effect at OBSERVABLE_SIZE materialities."""
+        columns = columns_of(self.data, self.fitted, effect.at_neutral())
+        typical = effect.typical(OBSERVABLE_SIZE)
+        sizes = [typical[name] for name in effect.steps]
+        return min(
+            self.nats_of_columns(columns[:, k : k + 1], size)[0] for k, size in enumerate(sizes) if size
+        )
+
+    def lost(self, chance: Floats | float, some: Bools) -> float:
+        """Return the expected evidence if rays `some` return with probability `chance`, with the loss refitted.
+
+        It is the Kullback-Leibler divergence, with the probability q of a return and the refitted loss `taken`.
+
+            Σ q log(q / (1 - taken)) + (1 - q) log((1 - q) / taken).
+        """
+        p = np.clip(np.broadcast_to(chance, some.shape)[some], 1e-6, 1.0)
+        loss = self.fitted.state.noise.loss
+        taken = min(self.loss, loss + float((1 - p).sum()) / max(self.n_seen, 1))
+        q = np.clip(p * (1 - loss), 1e-9, 1 - 1e-9)
+        gone = 1 - q
+        gain = float((q * np.log(q / (1 - taken)) + gone * np.log(gone / taken)).sum())
+        rest = self.n_seen - len(p)
+        return gain + rest * float(
+            loss * np.log(loss / taken) + (1 - loss) * np.log((1 - loss) / (1 - taken))
+        )
+
+
+def _missing(matrix: Floats, right: Floats, square: float, tau: Floats, held: Bools) -> float:
+    """Return half of the squared length that bounded nuisances do not absorb."""
+    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held)
+    x = np.concatenate([g, p])
+    taken = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((g / tau) ** 2))
+    return max(0.5 * square - taken, 0.0)

@@ -355,7 +355,7 @@ class ProfileSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class SiteSettings:
-    """Baseline of a site: apparent effects in known-good runs (`commissioning`, `site_variation`)."""
+    """Baseline of a site: apparent effects in known-good runs (`commissioning`, `worth`)."""
 
     n_parts: int = 8
     """Number of parts for the jackknife: of a run in time, and of its rays by bearing."""

@@ -7,7 +7,7 @@ A parameter of the whole sensor (a bias, a drift, a share of outliers) that is f
 is never zero: the map is slightly off in places, and people pass. Windows of known-good runs show the spread
 of the parameter from one window to the next. Each window is weighted by the agreement of its parts. This is a
 random-effects model with its prediction interval (Higgins, Thompson and Spiegelhalter 2009, eq. 12). This
-module holds the data and their statistics; `site_variation` estimates them from fits.
+module holds the data and their statistics; `worth` estimates them from fits.
 """
 
 from __future__ import annotations

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from logs.run import Run
-from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import Facts
+from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger
 from sensorgraph.diagnosis.engine.why import why
 from sensorgraph.diagnosis.ledger import effect_entry, least_size, needs_of
 from sensorgraph.diagnosis.motion.calibration.comparison import (

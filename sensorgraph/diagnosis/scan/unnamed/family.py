@@ -13,9 +13,8 @@ import numpy as np
 
 from sensorgraph.diagnosis.result import Deviation, Profile
 from sensorgraph.diagnosis.scan.consequence import ScanError
-from sensorgraph.diagnosis.scan.deviations import deviations
+from sensorgraph.diagnosis.scan.deviations import Partition, deviations, partitions
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.partitions import Partition, partitions
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Progress

@@ -13,8 +13,7 @@ import numpy as np
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.consequence import likely_causes, scan_error
 from sensorgraph.diagnosis.scan.deviations import MIN_SCATTER, deviations, largest_z
-from sensorgraph.diagnosis.scan.replicates import replicate
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.residuals import FitResiduals, replicate
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 
