@@ -126,9 +126,6 @@ class Gap:
     after: FitQuality
     noise_floor: FitQuality
     n_rays: int
-    stated_floor: FitQuality | None = None
-    """Noise floor if map and reference poses are as accurate as robot.yaml specifies; None if only one floor
-    is known."""
 
 
 @dataclass(frozen=True, kw_only=True)

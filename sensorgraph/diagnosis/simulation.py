@@ -28,8 +28,6 @@ MAX_SHARE = 0.1
 """Minimum relative difference of a parameter without materiality, to be called different."""
 MAX_DISTANCE = 0.3
 """[m] maximum distance between two spots that count as the same."""
-NOISE_RATIO = 1.25
-"""Ratio of the scatter of two lasers, above which they are called different."""
 
 
 @dataclass(frozen=True, kw_only=True)

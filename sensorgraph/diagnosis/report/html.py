@@ -26,7 +26,6 @@ from sensorgraph.diagnosis.report.quantities import (
 )
 from sensorgraph.diagnosis.report.summary import main_channel, summarise, undecided_rivals
 from sensorgraph.diagnosis.result import ChannelResult
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 
 CHANNELS = {
@@ -105,28 +104,8 @@ def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         "Noise floor: the gap of readings drawn from the amended model. Right: negative log-likelihood per reading; smaller "
         "is better."
     )
-    text = _scales_text(finding) + picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
-    return f"<h2>Size of the gap</h2>{text}" if text else ""
-
-
-def _scales_text(finding: Finding) -> str:
-    """Report the tolerances of map, reference poses and stamps in the fit, as multiples of the specified ones."""
-    if finding.explained is None:
-        return ""
-    names = {
-        "map": "the map",
-        "pose": "the reference poses",
-        "stamp": "the stamps",
-        "heading": "the reference's heading",
-    }
-    listed = "; ".join(
-        f"{names[of]}: {factor:.2f} times the specified value"
-        for of, factor in finding.tolerance_factors.items()
-        if factor >= 1.01
-    )
-    if not listed:
-        return "<p>The specified tolerances of map, reference poses and stamps suffice.</p>"
-    return f"<p>Tolerances that the fit needs: {listed}. Above {SCAN.nuisance.stretched_scale:g} times, a tolerance counts as wrong.</p>"
+    shown = picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
+    return f"<h2>Size of the gap</h2>{shown}" if shown else ""
 
 
 def _effects_section(finding: Finding) -> str:

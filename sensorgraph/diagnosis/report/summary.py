@@ -12,12 +12,10 @@ from sensorgraph.diagnosis.report.considered import tolerated
 from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
 from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.simulation import NOISE_RATIO, SimulationComparison
+from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
 OF_MOUNT = {EFFECT_OF[name] for name in ("mount_x", "mount_phi", "delay")}
-MIN_LEAD = 6.0
-"""[nats] minimum lead over the runner-up of an effect that is called found."""
 UNCHANGED = 0.97
 """Ratio of the RMS gap after to before, above which the gap is described as nearly unchanged."""
 QUIET_LASER = (
@@ -150,7 +148,7 @@ def _noise_sentences(compared: SimulationComparison) -> list[str]:
     if ours is None or theirs is None:
         return []
     ratio = max(ours.scatter, 1e-9) / max(theirs.scatter, 1e-9)
-    if 1 / NOISE_RATIO < ratio < NOISE_RATIO:
+    if max(ratio, 1 / ratio) < SCAN.nuisance.stretched_scale:
         return []
     return [
         f"The laser scatters by {100 * ours.scatter:.2f} cm, the simulated one by {100 * theirs.scatter:.2f} cm."
@@ -163,12 +161,7 @@ def _agreement(finding: Finding) -> str:
     if not worse:
         what = "the tolerances" if tolerated(finding) else "the accuracy of a careful setup"
         return f"Simulation and measurement agree within {what}{_but_for_poses(finding)}."
-    text = f"Simulation and measurement agree only if {worse} than robot.yaml specifies"
-    gap = finding.channels["scan"].gap
-    if gap is None or gap.stated_floor is None:
-        return f"{text}."
-    stated, widened = 100 * gap.stated_floor.rmse_m, 100 * gap.noise_floor.rmse_m
-    return f"{text} (noise floor {widened:.2f} cm; {stated:.2f} cm with the specified tolerances)."
+    return f"Simulation and measurement agree only if {worse} than robot.yaml specifies."
 
 
 def _but_for_poses(finding: Finding) -> str:
@@ -234,7 +227,9 @@ def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
     for a in (*finding.undecided, *finding.effects):
         for result in finding.channels.values():
             for rival in result.rivals:
-                close = a in finding.undecided or (a.evidence or 0.0) - rival.evidence_nats < MIN_LEAD
+                close = (
+                    a in finding.undecided or (a.evidence or 0.0) - rival.evidence_nats < rival.required_nats
+                )
                 if rival.instead_of == a.name and rival.name not in names and close:
                     out.append((a, rival))
     return out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -106,40 +105,20 @@ def held_out_gap(
     seen &= judged_after.stray <= stray
     seen &= (after.steep < sigma) & (before.steep < sigma)
 
-    def floor(side: _HeldOutFit, draws: np.random.Generator) -> FitQuality:
-        floors = []
-        for _ in range(SCAN.goodness_of_fit.n_slow_replicates):
-            drawn, errors = _drawn(data, side, side.fitted, draws)
-            # as for the measured scans, start at the likely poses
-            responsibilities, mu = side.e_step(drawn, None if data.posed is None else errors)
-            clear = seen & (responsibilities.stray <= stray)
-            floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
-        return FitQuality(
-            rmse_m=float(np.mean([f.rmse_m for f in floors])),
-            normalised=float(np.mean([f.normalised for f in floors])),
-            nats_per_ray=float(np.mean([f.nats_per_ray for f in floors])),
-        )
-
-    stated, same = (
-        _as_stated(final),
-        copy.deepcopy(rng),
-    )  # the same samples, so that only the tolerances differ
+    floors = []
+    for _ in range(SCAN.goodness_of_fit.n_slow_replicates):
+        drawn, errors = _drawn(data, after, final, rng)
+        # as for the measured scans, start at the likely poses
+        responsibilities, mu = after.e_step(drawn, None if data.posed is None else errors)
+        clear = seen & (responsibilities.stray <= stray)
+        floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
+    mean = {key: float(np.mean([vars(f)[key] for f in floors])) for key in vars(floors[0])}
     return Gap(
         before=_fit(data, mu_before, judged_before, seen, odd, sigma),
         after=_fit(data, mu_after, judged_after, seen, odd, sigma),
-        noise_floor=floor(after, rng),
+        noise_floor=FitQuality(**mean),
         n_rays=int(odd.sum()),
-        stated_floor=None if stated is None else floor(_HeldOutFit(data, named, stated, after.noise), same),
     )
-
-
-def _as_stated(fitted: Fitted) -> Fitted | None:
-    """Return a fit with the tolerances that robot.yaml specifies; None if the fit did not widen them."""
-    state = fitted.state
-    if state.stretch < SCAN.nuisance.stretched_scale:
-        return None
-    narrow = replace(state, pose_scale=min(state.pose_scale, 1.0), map_scale=1.0)
-    return replace(fitted, solution=replace(fitted.solution, state=narrow))
 
 
 def _fit(
