@@ -22,9 +22,8 @@ from benchmarks.measures import timed
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory
-from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace
 from sensorgraph.diagnosis.next_run.design import next_run
-from sensorgraph.diagnosis.next_run.drives import random_drive
+from sensorgraph.diagnosis.next_run.drives import DrivableSpace, random_drive
 from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS
 from sensorgraph.diagnosis.next_run.questions import between
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state

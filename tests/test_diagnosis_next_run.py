@@ -14,9 +14,8 @@ from planners.arena import Arena
 from planners.check import check
 from planners.errors import PlanError
 from planners.trajectory import read_csv
-from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
-from sensorgraph.diagnosis.next_run.drives import random_drive
+from sensorgraph.diagnosis.next_run.drives import DrivableSpace, random_drive
 from sensorgraph.diagnosis.next_run.forecast import (
     EvidenceForecast,
     MotionSamples,

@@ -27,14 +27,15 @@ from planners.curve import Curve
 from planners.errors import PlanError
 from planners.maps import geojson
 from planners.trajectory import Trajectory
-from sensorgraph.diagnosis.next_run.candidate_motions import (
+from sensorgraph.diagnosis.next_run.drives import (
     SWEEP_ANGLE,
     CandidateMotion,
     DrivableSpace,
     MotionKind,
+    build_drives,
     candidate_motions,
+    random_drive,
 )
-from sensorgraph.diagnosis.next_run.drives import build_drives, random_drive
 from sensorgraph.diagnosis.next_run.forecast import (
     DECIDED_NATS,
     EvidenceForecast,

@@ -14,8 +14,8 @@ import numpy as np
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
-from sensorgraph.diagnosis.next_run.candidate_motions import DrivableSpace, MotionKind, candidate_motions
 from sensorgraph.diagnosis.next_run.design import motion_samples
+from sensorgraph.diagnosis.next_run.drives import DrivableSpace, MotionKind, candidate_motions
 from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS, OpenQuestion, planned_scans
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.fit import cast, fit, start_state
