@@ -243,7 +243,7 @@ def _prepare_second(
     if first.data.from_scans and is_located(run):
         data = replace(data, from_scans=True, tolerances=first.data.tolerances, memo={})
     share = align(data, rng).share
-    if share < min(SCAN.alignment.poor_share, SCAN.alignment.second_run_share * first.alignment.share):
+    if share < SCAN.alignment.poor_share * first.alignment.share:
         raise SensorgraphError(
             f"the second run does not fit the arena: {100 * share:.0f} % of its returns end at walls, "
             f"compared with {100 * first.alignment.share:.0f} % in the first run; give a run of the same place"

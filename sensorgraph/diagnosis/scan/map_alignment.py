@@ -34,6 +34,9 @@ UNITS = {
 }
 """Scale of a map -> possible unit of its coordinates."""
 UNIT_SCALES = (*UNITS, 0.01, 0.0254, 0.3048)
+PARTLY_MATCHING = (SETTINGS.poor_share + SETTINGS.good_share) / 2
+"""Share of returns at walls after a motion of the poses, or of readings with the predicted length at another scale of the
+map, above which the place is the right one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +67,7 @@ class Alignment:
     @property
     def fits_elsewhere(self) -> bool:
         """Whether a rigid motion of the poses puts most returns on walls: the place is right, the frame is not."""
-        return not self.is_good and self.scale == 1.0 and self.best_share >= SETTINGS.partly_matching
+        return not self.is_good and self.scale == 1.0 and self.best_share >= PARTLY_MATCHING
 
     def sentence(self) -> str:
         """Return a statement of the fit of arena and run, and of its correction."""
@@ -181,7 +184,7 @@ def _matching_share(data: ScanData) -> float:
 
     In an arena full of walls, many rays end at some wall by chance, but not at the range of the first wall.
     """
-    n = min(data.n_scans, SETTINGS.matching_scans)
+    n = min(data.n_scans, SCAN.selection.n_scans)
     some = np.linspace(0, data.n_scans - 1, n).astype(np.intp)
     sensor, measured = data.sensor, data.ranges[some]
     if _is_one_laser(sensor):
@@ -203,8 +206,8 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
     turns = np.linspace(-np.pi, np.pi, SETTINGS.n_turns, endpoint=False)
     coarse = [(turn, *raster.correlated(points @ _rotation(turn).T)) for turn in turns]
     best = (share, 0.0, middle)
-    for turn, shift, count in sorted(coarse, key=lambda one: -one[2])[: SETTINGS.refined_turns]:
-        if count / len(points) > best[0] - SETTINGS.search_slack:
+    for turn, shift, count in sorted(coarse, key=lambda one: -one[2])[: SETTINGS.n_refined]:
+        if count / len(points) > best[0] - SETTINGS.min_gain / 2:
             _, turned, _, moved = _improved(raster, points, turn, 1.0, shift)
             got = raster.share(points @ _rotation(turned).T + moved)
             if got > best[0]:
@@ -218,11 +221,11 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
 def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
     """Find the scale of the measurements about the origin, with a shift, that puts most end points on walls."""
     shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
-    if max(counts) < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
+    if max(counts) < (share + SETTINGS.min_gain / 2) * len(points):
         return Alignment(share=share, best_share=share)
     found = [
         _improved(raster, points, 0.0, float(SCALES[k]), shifts[k], by_scale=True)
-        for k in np.argsort(counts)[-SETTINGS.refined_scales :]
+        for k in np.argsort(counts)[-SETTINGS.n_refined :]
     ]
     _, _, scale, shift = max(found, key=lambda one: one[0])
     best_share = raster.share(scale * points + shift)
@@ -250,16 +253,13 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
             found.append((count, float(scale), shift, raster))
     found.sort(key=lambda one: -one[0])
     best = Alignment(share=share, best_share=share)
-    for count, scale, shift, raster in found[: SETTINGS.refined_scales]:
-        if count < (share + SETTINGS.min_gain - SETTINGS.search_slack) * len(points):
+    for count, scale, shift, raster in found[: SETTINGS.n_refined]:
+        if count < (share + SETTINGS.min_gain / 2) * len(points):
             break
         _, _, rest, shift = _improved(raster, points, 0.0, 1.0, shift, by_scale=True)
         got = raster.share(rest * points + shift)
         mended = replace(data.arena, walls=(walls / scale - shift) / rest)
-        if (
-            got > best.best_share
-            and _matching_share(replace(data, arena=mended, memo={})) >= SETTINGS.partly_matching
-        ):
+        if got > best.best_share and _matching_share(replace(data, arena=mended, memo={})) >= PARTLY_MATCHING:
             dx, dy = (scale * shift).tolist()
             best = Alignment(share=share, best_share=got, dx=dx, dy=dy, scale=scale * rest)
     return best

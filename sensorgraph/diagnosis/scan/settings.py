@@ -88,13 +88,8 @@ class AlignmentSettings:
     length below which the run belongs to another place."""
     good_share: float = 0.8
     """Share of returns at walls below which another scale of the map is searched for."""
-    partly_matching: float = 0.65
-    """Share of returns at walls after a motion of the poses, or of readings with the predicted length at another scale of the
-    map, above which the place is the right one."""
-    matching_scans: int = 100
-    """Number of scans that are cast for this share."""
     min_gain: float = 0.25
-    """Minimum increase of the share of returns at walls in another alignment."""
+    """Minimum increase of the share of returns at walls in another alignment; half of it for a coarse one that is refined."""
     min_scale_gain: float = 0.05
     """Minimum increase of this share at another scale, over another alignment."""
     cell: float = 0.1
@@ -110,8 +105,8 @@ class AlignmentSettings:
     """Number of ray ends below which the alignment is not tested."""
     n_turns: int = 90
     """Number of headings that are tried."""
-    refined_turns: int = 12
-    """Number of best coarse headings that are refined: four in a square room, and the neighbours of each."""
+    n_refined: int = 12
+    """Number of best coarse headings or scales that are refined: four headings in a square room, and the neighbours of each."""
     scale_range: tuple[float, float] = (0.5, 2.0)
     """Range of map scales that are tried."""
     n_scales: int = 47
@@ -121,13 +116,6 @@ class AlignmentSettings:
     observed area."""
     unit_range: tuple[float, float] = (1 / 30, 1.2)
     """The same for scales of another unit of length, for a run that observed a small part of the map."""
-    search_slack: float = 0.1
-    """Share of returns by which a coarse match may miss the requirement and still be refined."""
-    refined_scales: int = 3
-    """Number of best coarse scales that are refined."""
-    second_run_share: float = 0.6
-    """Share of returns at walls, relative to the first run, below which a second run belongs to another
-    place."""
 
 
 @dataclass(frozen=True, kw_only=True)
