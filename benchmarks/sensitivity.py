@@ -7,7 +7,7 @@ again with one setting at a time times 0.5 and times 2. An answer is the set of 
 something unknown is said. A setting that moves no answer is counted; one that moves any is listed with what it moved.
 Of `--only localization.`, the answer is how many scans of a drive in a simulated office are located, and their ATE to one digit.
 
-So are constants of modules (`CUT` of `beam_mixture`), but for those of mathematics. Counts are rounded and at least 1;
+So are constants of modules (`CUT` of `likelihood`), but for those of mathematics. Counts are rounded and at least 1;
 shares and probabilities keep below 1 (twice 0.7 becomes 0.85, half the way to 1).
 Each variant is a process of its own, begun before anything that a setting decides is imported.
 """

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from sensorgraph.diagnosis.scan.beam_mixture import (
+from sensorgraph.diagnosis.scan.corner_sums import Sums
+from sensorgraph.diagnosis.scan.likelihood import (
     CUT,
     EDGE_BETWEEN,
     EDGE_NEAR,
@@ -15,9 +16,9 @@ from sensorgraph.diagnosis.scan.beam_mixture import (
     MIN_SHORT_RANGE,
     OFF_LATTICE,
     SQRT_TAU,
+    ExpectedReadings,
+    Responsibilities,
 )
-from sensorgraph.diagnosis.scan.corner_sums import Sums
-from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN

@@ -81,12 +81,10 @@ def checked_of(
     data = fitted.solver.data if data is None else data
     return Checked(
         view=FitResiduals(data, fitted),
-        nominal=data.tolerances,
         gains=dict.fromkeys(range(len(fitted.model)), 1000.0) if gains is None else gains,
         gained=gained,
         null=null,
         rng=np.random.default_rng(seed),
-        n_replicates=4,
     )
 
 

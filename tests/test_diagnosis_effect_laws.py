@@ -10,7 +10,7 @@ from scan_samples import checked_of, data_of, hall_arena
 
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.unnamed import object_at_wall
+from sensorgraph.diagnosis.scan.unnamed import objects
 from sensorgraph.effects import EFFECTS
 
 
@@ -23,7 +23,7 @@ def test_what_one_effect_costs_is_told_without_what_others_have_moved_since_the_
     moved = replace(fitted, model=(hidden.moved_to({"r0": 0.229}), fitted.model[1]))
     shares = []
     for model in (fitted, moved):
-        (doubt,) = object_at_wall.find(checked_of(model))
+        (doubt,) = objects.find_at_walls(checked_of(model))
         assert doubt.size is not None
         shares.append(doubt.size.affected)
     assert shares[0] == pytest.approx(shares[1], rel=1e-6)

@@ -147,5 +147,5 @@ def test_a_coarse_effect_excuses_what_is_left_by_its_own_evidence_alone(
     found = null_of(data, (EFFECTS["latency"](tau=0.01), EFFECTS["people"](p=0.001)))
     (doubt,) = sure(find(checked_of(found)))
     gains = {0: 25 * doubt.misfit, 1: people * doubt.misfit}  # of the latency the error is 4 %
-    got = check(data, found, gains[0], gains, rng=np.random.default_rng(0), n_replicates=4)
+    got = check(data, found, gains[0], gains, rng=np.random.default_rng(0))
     assert (got.told is not None and got.told.family == "bearing_error") == is_doubted

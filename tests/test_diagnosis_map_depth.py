@@ -13,8 +13,7 @@ from test_diagnosis_raster_map import BIN, BOX, PIXEL, ROBOT, ROOM, mapped, scan
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.diagnosis.map_depth import raster_map_of
-from sensorgraph.diagnosis.raster_map import RasterMap
+from sensorgraph.diagnosis.raster_map import RasterMap, raster_map_of
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.world.raycast import cast_laser, laser_poses

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +17,12 @@ from planners.arena import Arena
 from planners.maps import ros_map
 from sensorgraph.diagnosis.raster_map import RasterMap
 from sensorgraph.diagnosis.scan.corner_sums import Corners
-from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
-from sensorgraph.diagnosis.scan.materiality import is_map_error
+from sensorgraph.diagnosis.scan.fit import fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import find
-from sensorgraph.effects import EFFECTS, Amendment
+from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats
 from sensorgraph.world.pixel_walls import is_raster
@@ -144,39 +142,6 @@ def test_an_opening_is_passed_by_all_rays_and_a_pane_by_most(pixels: Arena) -> N
     assert not raster.judged(pane)[1]["changes"]
 
 
-def test_a_wall_behind_which_the_room_itself_lies_mirrored_is_a_mirror_and_no_opening(pixels: Arena) -> None:
-    """Unfolded: what a mirror in the wall at y = 0 shows lies behind it, in the room turned over."""
-    thin = 1e-3
-    behind = turned(
-        [(0, 0), (1.2, 0), (1.2, -thin), (0, -thin), (0, -4), (5, -4), (5, -thin), (2.6, -thin), (2.6, 0),
-         (5, 0), (5, 4), (0, 4)]
-    )  # fmt: skip
-    raster = RasterMap.of(pixels)
-    run, wall = scanned(polygon_arena(behind)), scanned(polygon_arena(ROOM)).ranges
-    data, _ = prepare_scans(run, raster.arena, ROBOT)
-    after, notes = raster.judged(data)
-    shown = run.ranges > wall + 0.3
-    assert shown.mean() > 0.01 and not notes["changes"]
-    assert np.isfinite(after.ranges[shown]).mean() > 0.8
-
-
-def test_a_wall_that_is_gone_before_empty_space_is_no_mirror(pixels: Arena) -> None:
-    """Nothing comes back through it, and the room mirrored in it would be out of reach as well."""
-    raster = RasterMap.of(pixels)
-    short = replace(ROBOT, sensor=replace(ROBOT.sensor, range_max=3.0))
-    run, wall = scanned(polygon_arena(ROOM)), scanned(polygon_arena(ROOM)).ranges
-    at = run.poses[:, 2:] + ROBOT.sensor.bearings
-    ends = run.poses[:, None, :2] + wall[..., None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
-    c, s = np.cos(TURN), np.sin(TURN)
-    along, across = ends @ [c, s], ends @ [-s, c]
-    through = (across < 0.1) & (along > 1.0) & (along < 2.8)
-    some = np.random.default_rng(1).random(wall.shape) < 0.1
-    ranges = np.where(through, np.where(some, wall + 0.5, np.inf), np.where(wall < 3.0, wall, np.inf))
-    data, _ = prepare_scans(replace(run, ranges=ranges, sensor=short.sensor), raster.arena, short)
-    (change,) = raster.judged(data)[1]["changes"]
-    assert change["kind"] == "open"
-
-
 def test_something_small_that_is_new_is_left_to_be_named(pixels: Arena) -> None:
     _, after, notes = judged(pixels, BIN)
     assert not notes["changes"]
@@ -241,41 +206,6 @@ def test_a_map_that_is_laid_and_one_that_is_not_have_the_same_linear_part(pixels
     assert np.abs(a - b)[both & ~slanting].max() < 1e-3  # of second order in 1 mm
     one, other = (s.assemble(np.where(both & ~slanting, 1e4, 0.0), 1.0) for s in (plain, moved))
     assert np.allclose(one.right, other.right, atol=0.02 * np.abs(one.right).max())
-
-
-def test_what_pixels_leave_open_is_an_error_of_the_map_and_no_effect(tmp_path: Path) -> None:
-    raster = RasterMap.of(mapped(tmp_path, BIN))
-    (thing,) = {name.split("/")[0] for name in raster.arena.names if name.startswith("thing_")}
-
-    @cache
-    def fitted(place: Arena) -> Fitted:
-        data, _ = prepare_scans(scanned(place), raster.arena, raster.widened(ROBOT))
-        data, _ = raster.judged(data)
-        return fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
-
-    def is_error(place: Arena, amendment: Amendment) -> bool:
-        return is_map_error(fitted(place), amendment)
-
-    there, empty = polygon_arena(ROOM, BIN), polygon_arena(ROOM)
-    moved, disc, pane = (EFFECTS[name] for name in ("moved_obstacle", "unmapped_obstacle", "glass"))
-    stretched, shifted = EFFECTS["map_scale"], EFFECTS["moved_wall"]
-    assert is_error(empty, stretched(s=0.012, dx=0.1, dy=0.0))  # 4 cm at corners 3.2 m from the middle
-    assert is_error(
-        empty, stretched(s=-0.02, dx=0.0, dy=0.0)
-    )  # cells of 10 cm on the inner side of the walls
-    assert not is_error(empty, stretched(s=-0.03, dx=0.0, dy=0.0))
-    wall = next(name for name in raster.arena.names if not name.startswith(thing))
-    assert is_error(there, moved(dx=0.05, dy=0.06).at(thing)) and not is_error(
-        there, moved(dx=0.2, dy=0.0).at(thing)
-    )
-    assert is_error(there, EFFECTS["missing_obstacle"]().at(thing))
-    assert not is_error(empty, EFFECTS["missing_obstacle"]().at(thing))
-    assert is_error(there, pane(a=0.1, b=0.4).at(wall)) and not is_error(there, pane(a=0.1, b=0.9).at(wall))
-    assert not is_error(empty, shifted(d=0.3).at(wall)) and not is_error(empty, shifted(d=-0.3).at(wall))
-    across = np.arange(-5.2, 5.2, 0.05)  # somewhere beyond the room is the wall opposite
-    assert any(is_error(empty, shifted(d=float(d)).at(wall)) for d in across[np.abs(across) > 2])
-    x, y = raster.arena.walls[raster.arena.names.index(f"{thing}/edge_0")].mean(axis=0)
-    assert is_error(there, disc(x=x, y=y, r=0.15)) and not is_error(there, disc(x=1.0, y=1.0, r=0.15))
 
 
 def test_corners_that_nothing_meets_stay_where_the_map_has_them() -> None:

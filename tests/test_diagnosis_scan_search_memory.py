@@ -8,13 +8,13 @@ import pytest
 from conftest import polygon_arena
 from test_diagnosis_scan import drive
 
-from sensorgraph.diagnosis.scan import candidate_fits
+from sensorgraph.diagnosis.scan import model_selection
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.model_selection import explain
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.score_test import Candidate
-from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
+from sensorgraph.diagnosis.scan.shortlist import SearchMemory, name_at_place
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import parse_robot
 
@@ -48,15 +48,6 @@ def test_a_bound_is_void_where_more_is_expected_than_at_the_fit() -> None:
     assert memory.bound(bias(200.0)) == math.inf
 
 
-def test_candidates_in_the_model_and_struck_ones_are_not_proposed_again() -> None:
-    memory = SearchMemory()
-    scale = Candidate(amendment=EFFECTS["range_scale"](s=0.01), gain=10.0)
-    memory.at_specified = [bias(10.0), scale]
-    assert memory.specified([bias(10.0).amendment]) == [scale]
-    memory.struck.add((scale.amendment.name, scale.amendment.place))
-    assert memory.specified([bias(10.0).amendment]) == []
-
-
 @pytest.mark.slow
 def test_a_lazy_search_fits_less_and_finds_the_same_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     hall = polygon_arena(
@@ -72,11 +63,11 @@ def test_a_lazy_search_fits_less_and_finds_the_same_effects(monkeypatch: pytest.
         fits.append(fit(*args, **options))  # type: ignore[arg-type]
         return fits[-1]
 
-    monkeypatch.setattr(candidate_fits, "fit", counted)
+    monkeypatch.setattr(model_selection, "fit", counted)
     lazy = {name_at_place(a) for a in explain(data, NoiseBounds()).final.model}
     n_lazy = len(fits)
     fits.clear()
-    monkeypatch.setattr(candidate_fits.CandidateFits, "has_sure_winner", lambda self: False)
+    monkeypatch.setattr(model_selection.CandidateFits, "has_sure_winner", lambda self: False)
     full = {name_at_place(a) for a in explain(data, NoiseBounds()).final.model}
     assert lazy == full == {name_at_place(a) for a in planted}
     assert n_lazy < len(fits)

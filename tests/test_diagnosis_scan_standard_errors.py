@@ -11,8 +11,8 @@ from scipy.stats import norm
 from test_diagnosis_scan import drive
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.scan.candidate_fits import searched
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval

@@ -11,16 +11,14 @@ from scan_samples import hall_arena
 from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
-from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.residuals import FitResiduals, replicate
+from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.sweep_wobble import (
-    drawn_wobble,
     estimated_wobble,
     references_in_sweep,
     share_within,
-    wobble_of_readings,
 )
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import parse_robot
@@ -115,36 +113,3 @@ def test_slanting_rays_scatter_as_the_wobble_says() -> None:
         )
         ratios.append(float(np.median(off[slanting]) / np.median(off[facing])))
     assert abs(ratios[0] - 1) < 0.3 < ratios[1] - 1
-
-
-def test_drawn_wobble_has_the_size_that_is_told_and_neighbours_share_it() -> None:
-    """Of readings that grow with x alone, at a tenth of their derivative."""
-    rng, when = np.random.default_rng(5), np.arange(90) / 90
-    pose = np.zeros((4000, 3, 90))
-    pose[:, 0] = 0.1
-    drawn = drawn_wobble((0.006, 0.0), 5.0, when, pose, rng)
-    assert float(drawn.std()) == pytest.approx(0.0006, rel=0.12)
-    assert wobble_of_readings((0.006, 0.0), pose)[0, 0] == pytest.approx(0.0006)
-    np.testing.assert_allclose(drawn.mean(axis=1), 0.0, atol=1e-12)  # that is the pose error of the scan
-    neighbours = np.corrcoef(drawn[:, 40], drawn[:, 42])[0, 1]
-    assert neighbours > 0.8 > 0.3 > np.corrcoef(drawn[:, 10], drawn[:, 60])[0, 1]
-
-
-def test_a_sweep_that_sees_its_reference_wobble_is_like_its_replicates() -> None:
-    """Neighbouring rays share the error, in the run as in its replicates."""
-
-    def shared(data: ScanData, fitted: Fitted) -> float:
-        """Return the mean product of the residuals of neighbouring rays, relative to their mean square."""
-        view = FitResiduals(data, fitted)
-        z = np.clip(np.where(view.returned & view.aimed, view.residual / view.sigma, 0.0), -3, 3)
-        return float((z[:, 1:] * z[:, :-1]).mean() / np.square(z).mean())
-
-    data = sweeps(0.2, 0.0)
-    fitted = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=6)
-    rng = np.random.default_rng(2)
-    drawn = [shared(*replicate(data, fitted, rng)) for _ in range(4)]
-    still = replace(data, wobble=(0.0, 0.0), memo={})
-    alone = fit(still, (), start_state(still, SCAN.noise), SCAN.noise, outer=1, inner=6)
-    without = [shared(*replicate(still, alone, rng)) for _ in range(4)]
-    assert 0.6 * min(drawn) < shared(data, fitted) < 1.4 * max(drawn)
-    assert max(without) < 0.3 * min(drawn)

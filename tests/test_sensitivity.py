@@ -6,7 +6,7 @@ import numpy as np
 
 import sensorgraph.diagnosis.scan
 from benchmarks.sensitivity import constants_of, in_process, scaled, settings_of
-from sensorgraph.diagnosis.scan import beam_mixture
+from sensorgraph.diagnosis.scan import likelihood
 from sensorgraph.diagnosis.scan.settings import SCAN
 
 
@@ -34,7 +34,7 @@ def test_a_variant_leaves_no_trace() -> None:
 
 def test_constants_are_varied_where_they_were_imported_and_where_they_are_compiled() -> None:
     found = {one.label: one for one in constants_of("scan", sensorgraph.diagnosis.scan)}
-    assert {"scan.model_selection.MAX_GAP", "scan.beam_mixture.CUT"} < set(found)
+    assert {"scan.depth_edges.MAX_CORNERS", "scan.likelihood.CUT"} < set(found)
     assert not any("CHI2" in label or "settings" in label for label in found)
 
     def densities() -> list[str]:
@@ -42,12 +42,12 @@ def test_constants_are_varied_where_they_were_imported_and_where_they_are_compil
         nothing, half = np.zeros(9), np.full(9, 0.5)
         limits, noise = (0.1, 8.0, 0.001), (0.01, 0.01, 0.01, 0.0)
         sigma, two, one = np.full(9, 0.02), np.full(9, 2.0), np.ones(9)
-        found = beam_mixture.mixture(
+        found = likelihood.mixture(
             here, two, sigma, one, beyond, nothing, half, limits, noise, (0.0, 0.0), 0.0, 3.0, 1e-9
         )
-        return [f"{p:.6f}" for p in found[beam_mixture.LOG_P]]
+        return [f"{p:.6f}" for p in found[likelihood.LOG_P]]
 
-    width = found["scan.beam_mixture.EDGE_WIDTH"]
+    width = found["scan.likelihood.EDGE_WIDTH"]
     before = densities()
     assert in_process(densities, None) == before
     assert in_process(densities, width, 2.0) != before and densities() == before

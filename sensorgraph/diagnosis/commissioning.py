@@ -20,17 +20,15 @@ import numpy as np
 
 from logs.run import Run
 from planners.arena import Arena
-from sensorgraph.diagnosis.map_depth import raster_map_of
-from sensorgraph.diagnosis.raster_map import without_unknown_space
-from sensorgraph.diagnosis.scan.candidate_fits import is_rough, searched
+from sensorgraph.diagnosis.raster_map import raster_map_of, without_unknown_space
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
+from sensorgraph.diagnosis.scan.model_selection import is_rough, searched
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
-from sensorgraph.diagnosis.scan.search_memory import SearchMemory
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.shortlist import shortlist
+from sensorgraph.diagnosis.scan.shortlist import SearchMemory, shortlist
 from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
 from sensorgraph.diagnosis.scan.worth import (
     must_be_spread,

@@ -1,10 +1,18 @@
-"""Exclude rays into space unknown to a map; in an occupancy-grid map, group changes of the building into objects."""
+"""Exclude rays into space unknown to a map; in an occupancy-grid map, group changes of the building into objects.
+
+A robot's map has the surfaces in the middle of the cells on average. A simulator that makes its world from a map extrudes
+the cells, so that every wall is half a cell nearer. The likelihood of the scans decides between the two. The bias of the
+laser is free in both, since it changes all readings alike. A wall that is half a cell w/2 nearer changes a reading by
+
+    -w / (2 cos incidence).
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from scipy import ndimage
@@ -12,9 +20,10 @@ from scipy import ndimage
 from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corner_sums import Corners
+from sensorgraph.diagnosis.scan.fit import fit, start_state, thin
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.effects.places import reflected
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.effects.range_bias import RANGE_BIAS
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.cell_borders import with_borders_as_walls
@@ -42,12 +51,11 @@ MAX_CHANGED = 1 / 3
 """Share of the readings, above which the cause is not a change of the building."""
 MAX_SMALL = 0.6
 """[m] maximum size of a new object that a disc represents."""
-MIN_MIRRORED = 0.8
-"""Minimum share of the rays through a wall that read the room mirrored in it; above it, the wall is a mirror
-and not an opening."""
 MIN_SHOWN = {"new": 0.5, "open": 0.95}
 """Minimum share of the rays aimed at the fullest cell that show the change. The edge of an object stops half
 of them; a pane lets most pass."""
+Prepared: TypeAlias = tuple[ScanData, dict[str, Any]]
+"""Scans in a map, and notes for the report."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +71,7 @@ class MapChange:
     share: float
     """Of the readings."""
     is_named: bool = False
-    """Whether an effect of the library describes it: a small new object, a missing object, a mirror."""
+    """Whether an effect of the library describes it: a small new object, or a missing one."""
 
     def sentence(self) -> str:
         """Return the change in words."""
@@ -179,7 +187,7 @@ def _most_met(walls: Floats, wall: Ints) -> Corners:
     """
     count = np.bincount(wall[wall >= 0], minlength=len(walls))
     numbers = range(1, int(count.max(initial=1)))
-    most = SCAN.nuisance.max_pixel_corners
+    most = SCAN.nuisance.max_corners
     k = bisect_left(numbers, True, key=lambda least: Corners.of(walls, count >= least).count <= most)
     return Corners.of(walls, count >= k + 1)
 
@@ -283,14 +291,6 @@ class _Sight:
             past = (self.got - self.expected) * head_on
             self.is_open = (self.expected < border) & np.isfinite(self.expected) & (past > MIN_OFF)
 
-    def is_mirror(self, own: Bools) -> bool:
-        """Tell whether rays (n_scans, n_rays) that pass a wall read the room mirrored in it."""
-        ways = self.expected[own] + reflected(self.data.arena.walls, self.data.scene().shoot(), own)
-        read, most = self.z[own], self.data.sensor.range_max
-        says = np.isfinite(read) | (ways < most)  # beyond range_max, mirror and opening look alike
-        fits = np.isfinite(read) & (np.abs(self.got[own] - ways) < MIN_OFF)
-        return 2 * int(says.sum()) > len(says) and float(fits[says].mean()) >= MIN_MIRRORED
-
     def share(self, kind: str, place: Floats) -> float:
         """Return the share of the rays aimed at a place (2,) that show a change there."""
         x, y = (place - self.lasers[:, :2]).T[:, :, None]
@@ -347,7 +347,45 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
             xy=(float(x), float(y)),
             size=(float(w), float(h)),
             share=share,
-            is_named=max(w, h) < MAX_SMALL if kind == "new" else bool(is_thing) or seen.is_mirror(own),
+            is_named=max(w, h) < MAX_SMALL if kind == "new" else bool(is_thing),
         )
         out.append((change, own))
     return out
+
+
+def raster_map_of(
+    arena: Arena, prepare: Callable[[RasterMap], Prepared], noise_bounds: NoiseBounds
+) -> tuple[RasterMap, Prepared]:
+    """Return an occupancy-grid arena with its surfaces where the scans have them, and the scans prepared for it.
+
+    Parameters
+    ----------
+    prepare : Prepares the scans for comparison with a map.
+    """
+    pixels = RasterMap.of(arena)
+    prepared = prepare(pixels)
+    if _distance_before_walls(prepared[0]) < pixels.pixel / 4:
+        return pixels, prepared
+    drawn = pixels.as_drawn()
+    again = prepare(drawn)
+    is_compared = np.isfinite(prepared[0].ranges) & np.isfinite(again[0].ranges)
+    evidence = [_log_likelihood(data, is_compared, noise_bounds) for data in (prepared[0], again[0])]
+    return (drawn, again) if evidence[1] > evidence[0] else (pixels, prepared)
+
+
+def _distance_before_walls(data: ScanData) -> float:
+    """Return the median distance [m] of the returns before the walls, along their normals; 0 if there are no walls."""
+    if data.sensor.is_composite or measures_cones(data.sensor):
+        return 0.0
+    beams = data.scene().shoot()
+    off = beams.ranges - np.where(data.returned, data.ranges, np.nan)
+    near = (beams.wall >= 0) & (np.abs(off) < 4 * data.tolerances.map)
+    return float(np.median(off[near] * beams.cosine[near])) if near.any() else 0.0
+
+
+def _log_likelihood(data: ScanData, is_compared: Bools, noise_bounds: NoiseBounds) -> float:
+    """Return the penalised log-likelihood [nats] of some returns (n_scans, n_rays), with the laser's bias free."""
+    data = replace(data, ranges=np.where(is_compared, data.ranges, np.nan), memo={})
+    few = thin(data, max(1, data.n_scans // SCAN.selection.n_scans))
+    model = (RANGE_BIAS(b=0.0),)
+    return fit(few, model, start_state(few, noise_bounds), noise_bounds, outer=2, inner=6).j

@@ -21,8 +21,8 @@ from sensorgraph.diagnosis.scan.naming import ScanNames, located, name_scan_effe
 from sensorgraph.diagnosis.scan.observability import not_observable
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.scatter_scale import doubt_of_scatter, freed_scatter
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import doubt_of_scatter, freed_scatter
 from sensorgraph.diagnosis.simulation import counterpart, is_same_size
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import Amendment
@@ -73,7 +73,7 @@ def diagnose_scans(
     """
     with clock.stage("explain"):
         explained = explain(train, noise_bounds, progress=clock.progress)
-        free = freed_scatter(train, explained, noise_bounds) if baseline is None else None
+        free = freed_scatter(train, explained.final, noise_bounds) if baseline is None else None
         if free is not None:
             noise_bounds = free
             explained = explain(train, free, progress=clock.progress)
@@ -116,19 +116,12 @@ def judge(
 ) -> tuple[GoodnessOfFit, ScanNames]:
     """Test an accepted model for unmodelled structure, and name its effects."""
     null, final = explained.null, explained.final
-    settings = SCAN.goodness_of_fit
-    found = check(
-        train,
-        final,
-        final.j - null.j,
-        explained.gains,
-        rng=rng,
-        null=null,
-        n_replicates=settings.n_replicates,
-        tick=tick,
-    )
-    found = doubt_of_scatter(found, explained, train) if baseline is None else baseline.discount(found, train)
-    listed = deviations(FitResiduals(train, null))[: settings.max_listed]
+    found = check(train, final, final.j - null.j, explained.gains, rng=rng, null=null, tick=tick)
+    if baseline is not None:
+        found = baseline.discount(found, train)
+    elif not found.is_doubted:
+        found = replace(found, told=doubt_of_scatter(final))
+    listed = deviations(FitResiduals(train, null))[: SCAN.goodness_of_fit.max_listed]
     names = name_scan_effects(train, explained, found, listed)
     if not found.is_doubted and (told := told_by_tolerances(final, found)) is not None:
         found = told if baseline is None else baseline.discount(told, train)

@@ -106,8 +106,6 @@ class Diagnostics:
     """Name of a further candidate -> its share, if larger than `leftover_share`."""
     misfit_share: float | None = None
     """Share of the gain of this coarse model below which a misfit is not reported; None: the share of exact models."""
-    stands_back: Callable[[Amendment], float] | None = None
-    """Return the depth [m] by which its part of a wall is set back; inf if the effect is more than a set-back wall."""
 
     tolerance: str = ""
     """Key in the tolerances of robot.yaml that covers the effect without reporting it."""

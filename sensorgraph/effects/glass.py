@@ -47,13 +47,6 @@ def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
     beams.bent()[through] = False
 
 
-def stands_back(a: Amendment) -> float:
-    """Return the depth [m] of the plane behind if the pane is not significant, so that the wall is set back; else inf."""
-    depth = a.parameters.get("depth", 0.0)
-    is_pane = a.parameters.get("alpha_ret", RIGHT_ANGLE) > 2 * a.stderr.get("alpha_ret", 0.0)
-    return np.inf if is_pane or depth == 0 else depth
-
-
 def propose(residuals: Residuals) -> list[Proposal]:
     """Search for long or missing returns at oblique incidence, on a part of one wall."""
     on, walls = strange_on_walls(residuals)
@@ -176,7 +169,6 @@ GLASS = Effect(
     diagnostics=Diagnostics(
         unobservable=unobservable,
         propose=propose,
-        stands_back=stands_back,
         leftovers=LOSS_LEFTOVERS,
         misfit_share=0.012,
     ),

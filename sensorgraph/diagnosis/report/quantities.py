@@ -119,6 +119,6 @@ def title_of(name: str) -> str:
 
 def deviation_text(where: Deviation) -> str:
     """Describe a deviation in words."""
-    text = where.sentence().replace(" and half of the run ", " ").replace("at hit place around", "around")
+    text = where.sentence().replace("at hit place around", "around")
     text = re.sub(r"-?\d\.\d+e-\d+", "0", text)  # rounding error of a bin edge at zero
     return minus(text.replace(" at omega ", " at turn rate "))

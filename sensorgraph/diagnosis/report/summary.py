@@ -303,8 +303,7 @@ def _place_phrase(deviation: Deviation | None) -> str:
         return ""
     if deviation.channel in BOTH_SIDES:
         return f": {BOTH_SIDES[deviation.channel]} differ {deviation.label}"
-    part = deviation.partition.removesuffix(" and half of the run")
-    words = {"hit place": "", "robot place": "where the robot is"}
+    part, words = deviation.partition, {"hit place": "", "robot place": "where the robot is"}
     where = f"{words.get(part, 'at ' + part)} {deviation.label}{deviation.about()}".strip()
     return minus(f" {where}")
 

@@ -12,58 +12,61 @@ from sensorgraph.diagnosis.scan.fit import Cast
 from sensorgraph.diagnosis.scan.settings import SCAN, GoodnessOfFitSettings
 from sensorgraph.robust import rms
 
-CAUSES: dict[tuple[str, str], str] = {
-    (
-        "bearing",
-        "bias",
-    ): "an error of the laser that depends on bearing: its mirror, its angles, its mounting",
-    ("bearing", "misses"): "dead or covered rays at some bearings",
-    ("bearing", "outliers"): "an object on the robot within view of the laser, or a second laser",
-    ("range", "bias"): "an error of the laser that depends on range: a step, a curve, a periodic phase error",
-    ("range", "misses"): "a loss of signal with range: fog, a weak or dirty window",
-    ("range", "outliers"): "echoes from dust, fog or a dirty window",
-    ("incidence", "bias"): "a range error at slanted walls: a broad beam, rough or shiny surfaces",
-    ("incidence", "misses"): "surfaces that reflect or absorb light at a slant",
-    (
-        "omega",
-        "bias",
-    ): "timing between scans and poses: a clock that drifts or jitters, an unsteady sweep",
-    ("speed", "bias"): "timing between scans and poses, or a tilt that depends on speed",
-    ("acceleration", "bias"): "pitching of the robot when it brakes or accelerates",
-    (
-        "acceleration",
-        "outliers",
-    ): "pitching of the robot when it brakes or accelerates, so that rays meet the floor",
-    ("time", "bias"): "something that changed during the run: a knock, a restart, a warming laser",
-    ("time", "spread"): "temporary disturbances: vibration, interference, a failing cable",
-    ("time", "misses"): "a temporary loss of signal: sunlight, dirt, a failing cable",
-    ("time", "outliers"): "a temporary object: people, a door, another laser",
-    ("heading", "bias"): "a reference whose yaw depends on heading, or a laser that is not level",
-    ("direction in map", "misses"): "light from one direction of the room: sun, a lamp",
-    ("direction in map", "bias"): "a map whose scale differs between its axes, or that is sheared",
-    (
-        "robot place",
-        "bias",
-    ): "a reference pose with an error that depends on place (lens, mirrored markers), or an uneven floor",
-    (
-        "robot place",
-        "outliers",
-    ): "an uneven floor or a ramp at that place, or objects that are visible only from there",
-    ("robot place", "misses"): "light or surfaces that are visible only from that place",
-    ("robot place", "spread"): "a less accurate reference pose at that place, or an uneven floor",
-    ("hit place", "bias"): "an object or wall at that place: bent, moved, turned or covered",
-    (
-        "hit place",
-        "outliers",
-    ): "an object there that is missing in the map or moves: a door, furniture, a person",
-    ("hit place", "misses"): "a surface there that absorbs or deflects light",
-    ("hit place", "spread"): "a rough, half-open or moving object there: a curtain, a plant, a door",
-    ("wall", "bias"): "that wall: bent, moved, or covered by something",
-    ("wall", "outliers"): "openings, furniture or people in front of that wall",
-    ("wall", "misses"): "the surface of that wall",
-    ("wall", "spread"): "a rough or uneven surface of that wall",
+CAUSES: dict[str, dict[str, str]] = {
+    "bearing": {
+        "bias": "an error of the laser that depends on bearing: its mirror, its angles, its mounting",
+        "misses": "dead or covered rays at some bearings",
+        "outliers": "an object on the robot within view of the laser, or a second laser",
+    },
+    "range": {
+        "bias": "an error of the laser that depends on range: a step, a curve, a periodic phase error",
+        "misses": "a loss of signal with range: fog, a weak or dirty window",
+        "outliers": "echoes from dust, fog or a dirty window",
+    },
+    "incidence": {
+        "bias": "a range error at slanted walls: a broad beam, rough or shiny surfaces",
+        "misses": "surfaces that reflect or absorb light at a slant",
+    },
+    "omega": {
+        "bias": "timing between scans and poses: a clock that drifts or jitters, an unsteady sweep",
+    },
+    "speed": {
+        "bias": "timing between scans and poses, or a tilt that depends on speed",
+    },
+    "acceleration": {
+        "bias": "pitching of the robot when it brakes or accelerates",
+        "outliers": "pitching of the robot when it brakes or accelerates, so that rays meet the floor",
+    },
+    "time": {
+        "bias": "something that changed during the run: a knock, a restart, a warming laser",
+        "spread": "temporary disturbances: vibration, interference, a failing cable",
+        "misses": "a temporary loss of signal: sunlight, dirt, a failing cable",
+        "outliers": "a temporary object: people, a door, another laser",
+    },
+    "direction in map": {
+        "misses": "light from one direction of the room: sun, a lamp",
+        "bias": "a map whose scale differs between its axes, or that is sheared",
+    },
+    "robot place": {
+        "bias": "a reference pose with an error that depends on place (lens, mirrored markers), or an uneven floor",
+        "outliers": "an uneven floor or a ramp at that place, or objects that are visible only from there",
+        "misses": "light or surfaces that are visible only from that place",
+        "spread": "a less accurate reference pose at that place, or an uneven floor",
+    },
+    "hit place": {
+        "bias": "an object or wall at that place: bent, moved, turned or covered",
+        "outliers": "an object there that is missing in the map or moves: a door, furniture, a person",
+        "misses": "a surface there that absorbs or deflects light",
+        "spread": "a rough, half-open or moving object there: a curtain, a plant, a door",
+    },
+    "wall": {
+        "bias": "that wall: bent, moved, or covered by something",
+        "outliers": "openings, furniture or people in front of that wall",
+        "misses": "the surface of that wall",
+        "spread": "a rough or uneven surface of that wall",
+    },
 }
-"""(partition, kind) of a deviation -> likely cause."""
+"""Partition and kind of a deviation -> likely cause."""
 ELSE = {
     "bias": "an error of laser, reference or map that is not in the library of effects",
     "spread": "noise that is missing in the sensor's description: vibration, interference, a poor reference",
@@ -170,10 +173,12 @@ def likely_causes(deviations: Sequence[Deviation]) -> tuple[str, ...]:
     """Return likely causes of deviations, first those of the partition whose bins explain most."""
     explained: dict[tuple[str, str], float] = {}
     for d in deviations:
-        key = (d.partition.removesuffix(" and half of the run"), d.family)
+        key = (d.partition, d.family)
         explained[key] = explained.get(key, 0.0) + d.z**2
     ranked = sorted(explained, key=lambda key: -explained[key])
-    return tuple(dict.fromkeys(CAUSES.get(key, ELSE[key[1]]) for key in ranked))[:MAX_CAUSES]
+    return tuple(dict.fromkeys(CAUSES.get(part, {}).get(kind, ELSE[kind]) for part, kind in ranked))[
+        :MAX_CAUSES
+    ]
 
 
 def scan_change(one: Cast, other: Cast) -> ScanError:

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.special import ndtri
 
 from planners.kernel import kernel
-from sensorgraph.diagnosis.scan.beam_mixture import MIN_SHORT_RANGE
 from sensorgraph.diagnosis.scan.corner_sums import corners_between_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -28,6 +27,9 @@ from sensorgraph.world.robot import Tolerances
 SETTINGS = SCAN.likelihood
 REACH = -float(ndtri(SETTINGS.min_edge_chance))
 """Number of blurs beyond which a ray is clear of an edge."""
+MIN_SHORT_RANGE = 0.05
+"""[m] minimum range over which short readings are distributed, and of the nearer side of an edge: map and pose errors
+turn it by their size over the range."""
 MAX_CORNERS = 1.5
 """Maximum number of corners per wall in a map of connected walls: closed outlines have one, separate fragments two."""
 SLACK = 1e-3

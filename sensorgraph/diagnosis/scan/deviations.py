@@ -37,8 +37,8 @@ SPEED_EDGES = np.array([-2, -0.25, -0.1, -0.02, 0.02, 0.1, 0.2, 0.3, 0.4, 2])  #
 TURN_RATE_EDGES = np.array([-3, -0.8, -0.5, -0.25, -0.08, 0.08, 0.25, 0.5, 0.8, 3])  # [rad/s]
 ACCELERATION_EDGES = np.array([-5, -0.3, -0.15, -0.05, 0.05, 0.15, 0.3, 5])  # [m/s²]
 INCIDENCE_EDGES = np.radians(np.arange(0, 91, 7.5))  # [rad]
-N_BEARINGS, N_HEADINGS, N_TIMES = 24, 16, 20
-OF_WALLS = ("wall", "wall and half of the run", "hit place")
+N_BEARINGS, N_TIMES = 24, 20
+OF_WALLS = ("wall", "hit place")
 """Partitions whose bins also show the shape of walls."""
 MARGIN = 0.1  # [m] of the raster beyond the arena
 
@@ -234,7 +234,7 @@ def dispersion(view: FitResiduals) -> Dispersion:
     score = scores(view)
     value, counted = score.values["spread"], score.counted["spread"]
     n = counted.sum(axis=1)
-    some = n > SCAN.goodness_of_fit.min_rays_of_scan
+    some = n > SCAN.goodness_of_fit.min_readings
     if some.sum() < SCAN.goodness_of_fit.min_rays:
         return Dispersion()
     mean = value.sum(axis=1)[some] / n[some]
@@ -274,23 +274,19 @@ def partitions(view: FitResiduals) -> list[Partition]:
         return _binned(name, np.broadcast_to(value, shape), edges, unit, scale)
 
     degree = 180 / np.pi
-    walls = _by_wall(view)
     bearing_edges = np.linspace(bearings[0] - 1e-9, bearings[-1] + 1e-9, min(N_BEARINGS, len(bearings)) + 1)
-    by_bearing = binned("bearing", bearings, bearing_edges, "degrees", degree)
     range_edges = np.concatenate([np.arange(0, 4, 0.4), np.arange(4, range_max + 1, 0.8)])
     circle = np.linspace(-np.pi, np.pi + 1e-9, N_BEARINGS + 1)
-    heading = np.pi - (np.pi - data.poses[:, 2:]) % (2 * np.pi)
     reach = np.where(hit, beams.ranges, 0.0)
     out = [
-        walls,
-        by_bearing,
+        _by_wall(view),
+        binned("bearing", bearings, bearing_edges, "degrees", degree),
         binned("range", np.where(hit, beams.ranges, np.nan), range_edges, "m"),
         binned("incidence", np.where(hit, view.incidence, np.nan), INCIDENCE_EDGES, "degrees", degree),
         binned("time", t, np.linspace(0, data.span + 1e-9, N_TIMES + 1), "s"),
         binned("omega", data.twists[:, 2:], TURN_RATE_EDGES, "rad/s"),
         binned("speed", data.speed[:, None], SPEED_EDGES, "m/s"),
         binned("direction in map", np.arctan2(beams.uy, beams.ux), circle, "degrees", degree),
-        binned("heading", heading, np.linspace(-np.pi, np.pi + 1e-9, N_HEADINGS + 1), "degrees", degree),
         _by_cell("hit place", beams.ox + reach * beams.ux, beams.oy + reach * beams.uy, hit, arena.bounds),
         _by_cell(
             "robot place",
@@ -304,8 +300,7 @@ def partitions(view: FitResiduals) -> list[Partition]:
         stamps = np.maximum(data.stamps, data.stamps[0] + 1e-3 * np.arange(data.n_scans))
         acceleration = np.gradient(data.speed, stamps)
         out.append(binned("acceleration", acceleration[:, None], ACCELERATION_EDGES, "m/s²"))
-    late = (t > data.span / 2).astype(np.intp)
-    return [*out, _by_half(by_bearing, late), _by_half(walls, late)]
+    return out
 
 
 def _binned(name: str, value: Floats, edges: Floats, unit: str, scale: float) -> Partition:
@@ -329,17 +324,6 @@ def _by_wall(view: FitResiduals) -> Partition:
         count=max(len(view.fitted.cast.scene.walls), 1),
         label=lambda k: arena.names[k],
         place=lambda k: _point(arena.walls[k].mean(axis=0)),
-    )
-
-
-def _by_half(whole: Partition, late: Ints) -> Partition:
-    """Split each bin of a partition by the half of the run; `late` (n_scans, 1) is 1 in the second half."""
-    return Partition(
-        name=f"{whole.name} and half of the run",
-        index=np.where(whole.index >= 0, whole.index * 2 + late, -1),
-        count=whole.count * 2,
-        label=lambda k: f"{whole.label(k // 2)}, {('first', 'second')[k % 2]} half of the run",
-        place=lambda k: whole.place(k // 2),
     )
 
 

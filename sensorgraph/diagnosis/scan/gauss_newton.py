@@ -120,9 +120,19 @@ class Solver:
         )
         self.locked = locked  # (8 + 2 n_corners,)
         self.rows = np.concatenate([jacobian.pose, jacobian.nuisances, effects], axis=1)
+        self.y = self._residuals(data)
+
+    def _residuals(self, data: ScanData) -> Floats:
+        """Return measured minus expected readings (n_scans, n_rays) [m] without nuisances; 0 where they do not count."""
         with np.errstate(invalid="ignore"):
-            self.y = np.where(jacobian.valid & data.returned, data.ranges - expected.reading, 0.0)
-        self.y[~np.isfinite(self.y)] = 0.0
+            y = np.where(self.jacobian.valid & data.returned, data.ranges - self.expected.reading, 0.0)
+        return np.where(np.isfinite(y), y, 0.0)
+
+    def with_readings(self, data: ScanData) -> Solver:
+        """Return the linearised problem for other readings of the same scans."""
+        out = copy(self)
+        out.data, out.y = data, self._residuals(data)
+        return out
 
     def of_scans(self, rows: Ints) -> Solver:
         """Return the linearised problem of some scans only, to assemble their normal equations."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.cast_place import as_cast
 from sensorgraph.diagnosis.scan.consequence import likely_causes
-from sensorgraph.diagnosis.scan.fit import Fitted, fit
+from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed import UNNAMED
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, sure
 from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import beyond_tolerances
@@ -53,7 +53,6 @@ def check(
     *,
     rng: np.random.Generator,
     null: Fitted | None = None,
-    n_replicates: int = SCAN.goodness_of_fit.n_replicates,
     tick: Progress | None = None,
 ) -> GoodnessOfFit:
     """Test whether a model explains the run.
@@ -64,19 +63,8 @@ def check(
     gains : [nats] Gain of each effect of the model.
     null : The fit without effects.
     """
-    nominal, sigma = data.tolerances, data.sensor.sigma
-    data, fitted = _widened(data, fitted)
-    data = as_cast(data, fitted.state)
-    checked = Checked(
-        view=FitResiduals(data, fitted),
-        nominal=nominal,
-        gains=gains,
-        gained=gained,
-        null=null,
-        rng=rng,
-        n_replicates=n_replicates,
-        tick=tick,
-    )
+    sigma, view = data.sensor.sigma, FitResiduals(as_cast(data, fitted.state), fitted)
+    checked = Checked(view=view, gains=gains, gained=gained, null=null, rng=rng, tick=tick)
     tests = [(test, test.find(checked)) for test in UNNAMED.values() if test.find is not None]
     causes = [doubt for test, found in tests if test.is_cause for doubt in found]
     others = [doubt for test, found in tests if not test.is_cause for doubt in found]
@@ -110,35 +98,15 @@ def _told_in_order(changed: Sequence[Doubt], doubts: Sequence[Doubt]) -> list[Do
     return [*first, *sorted(rest, key=lambda d: -d.misfit)]
 
 
-def _widened(data: ScanData, fitted: Fitted) -> tuple[ScanData, Fitted]:
-    """Fit again with wider tolerances if the specified ones are too tight, and find the edges again."""
-    state = fitted.state
-    if state.stretch < SCAN.nuisance.stretched_scale:
-        return data, fitted
-    t = data.tolerances
-    wide = replace(
-        t,
-        map=t.map * state.map_scale,
-        pose_xy=t.pose_xy * state.pose_scale,
-        pose_yaw=t.pose_yaw * state.pose_scale,
-        stamp=t.stamp * state.pose_scale,
-    )
-    wider = replace(data, tolerances=wide, memo={})
-    start = replace(state, pose_scale=1.0, map_scale=1.0)
-    bounds = NoiseBounds(max_scale=SCAN.nuisance.stretched_scale)
-    return wider, fit(wider, fitted.model, start, bounds, outer=1, inner=3)
-
-
 def told_by_tolerances(fitted: Fitted, found: GoodnessOfFit) -> GoodnessOfFit | None:
     """Report tolerances of a fit that are far wider than specified; None if they are not.
 
     Where effects explain much of the residuals, no other test would detect this. For example, a room that is longer than in
     its plan is partly explained by a map scale, and its corners absorb the rest.
     """
-    data, state, settings = fitted.solver.data, fitted.state, SCAN.goodness_of_fit
+    settings = SCAN.goodness_of_fit
     limit = settings.max_tolerance_scale_beside_effects if fitted.model else settings.max_tolerance_scale
-    scales = state.pose_scale, state.map_scale
-    doubts = sure(beyond_tolerances(*scales, data.tolerances, data.n_scans, limit))
+    doubts = sure(beyond_tolerances(fitted, limit))
     if not doubts:
         return None
     return _told(max(doubts, key=lambda d: d.statistic), doubts, replace(found, failed=frozenset()))

@@ -47,11 +47,7 @@ class _HeldOutFit:
         ----------
         begin : (n_scans, 3) Initial pose errors; by default those of the casts.
         """
-        solver, expected = self.solver, self.expected
-        solver.data = data
-        with np.errstate(invalid="ignore"):
-            y = np.where(solver.jacobian.valid & data.returned, data.ranges - expected.reading, 0.0)
-        solver.y = np.where(np.isfinite(y), y, 0.0)
+        solver, expected = self.solver.with_readings(data), self.expected
         state = State(
             g=np.where(solver.locked, 0.0, self.fitted.state.g),
             delta=(self.begin if begin is None else begin).copy(),

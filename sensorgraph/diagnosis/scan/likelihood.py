@@ -1,23 +1,29 @@
-"""Likelihood of measured readings given the expected ones: the beam mixture, and samples from it."""
+"""Likelihood of measured readings given the expected ones, a compiled beam mixture, and samples from it.
+
+Density of a return z with the expected range mu: core, tail, far side of an edge, short, stray.
+
+    p(z) = rest p_return (1 - loss) [(1 - a) ((1 - share) N(z; mu, s²) + share N(z; mu, (tail_width s)²))
+                                     + a (EDGE_NEAR N(z; there, s_there²) + EDGE_BETWEEN U(mu, there))]
+           + (1 - stray) short U(0, mu) + (stray + unexplained) / range_max.
+
+Here a = p_alternative, s_there² = (EDGE_WIDTH s)² + spread² and rest = (1 - stray) (1 - short). Probability of no return:
+
+    P(inf) = (1 - short) [(1 - stray) seen loss + rest (1 - seen) + lost_at_edge] + unexplained,
+    seen   = p_return [(1 - a) Phi((range_max - mu) / s) + a Phi((range_max - there) / s_there)].
+
+The term lost_at_edge applies only next to an edge. The mixture follows Thrun, Burgard and Fox 2005, section 6.3, with the
+wide tail and the edges in depth added.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.beam_mixture import (
-    CORE,
-    EDGE_WIDTH,
-    LOG_P,
-    LOST,
-    RESIDUAL,
-    STRAY,
-    TAIL,
-    WEIGHT,
-    mixture,
-)
-from sensorgraph.diagnosis.scan.depth_edges import Edges
+from planners.kernel import inner_kernel, kernel
+from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE, Edges
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -26,6 +32,24 @@ from sensorgraph.world.beams import Beams
 from sensorgraph.world.scene import apply_range_limits
 
 SETTINGS = SCAN.likelihood
+SQRT_2, SQRT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
+# These settings are constants of this module instead of `settings`, because numba compiles their values into the kernel.
+EDGE_WIDTH = 2.0
+"""Ratio of the standard deviation at the far side of an edge to that of the core."""
+EDGE_NEAR, EDGE_BETWEEN = 0.9, 0.1
+"""Shares of the readings at an edge: at its far side, and anywhere between the two sides."""
+MIN_EDGE_STEP = 0.01
+"""[m] minimum distance between the two sides of an edge."""
+LATTICE_SLACK = 0.51
+"""Maximum distance of a reading from its lattice, in resolutions."""
+OFF_LATTICE = 1e-9
+"""Density factor of a reading that is farther off its lattice."""
+CUT = 2.5
+"""Standard deviations from a limit of the sensor, within which a residual has weight 0.
+
+Near a limit only the readings on one side of it return, so their mean is biased."""
+
+LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -175,3 +199,122 @@ def sample(
     z = apply_range_limits(z, sensor, expected.lattice)
     z[np.isnan(data.ranges)] = np.nan
     return z
+
+
+@inner_kernel
+def _normal_cdf(x: float) -> float:
+    """Return the standard normal distribution function at x."""
+    return 0.5 * math.erfc(-x / SQRT_2)
+
+
+@kernel
+def mixture(
+    z: Floats,
+    mu: Floats,
+    sigma: Floats,
+    p_return: Floats,
+    alternative: Floats,
+    spread: Floats,
+    p_alternative: Floats,
+    limits: tuple[float, float, float],
+    noise: tuple[float, float, float, float],
+    chances: tuple[float, float],
+    lattice: float,
+    tail_width: float,
+    unexplained: float,
+) -> Floats:
+    """Return the log-likelihood and the responsibilities of n readings.
+
+    It is one loop, because this is the innermost loop of every fit and each call from compiled code costs time.
+
+    Parameters
+    ----------
+    z : (n,) [m] Measured range; inf: missing, -inf: too near, nan: broken.
+    mu : (n,) [m] Expected range; inf where no return is possible.
+    sigma : (n,) [m] Standard deviation of the core.
+    p_return : (n,) Probability that the ray returns.
+    alternative : (n,) [m] Expected range on the other side of an edge; nan without an edge.
+    spread : (n,) [m] Standard deviation of `alternative`, without the noise of a reading.
+    p_alternative : (n,) Probability that the ray reads `alternative`.
+    limits : [m] Minimum range, maximum range, and resolution of a reading.
+    noise : Shares of the tail, of missing returns and of outliers; then the share of outliers that effects add.
+    chances : Probabilities of a short reading, and of a missing one next to an edge.
+    lattice : [m] Step to which effects round the readings; 0 without rounding.
+    tail_width : Ratio of the standard deviation of the tail to that of the core.
+    unexplained : Probability of a reading that no component explains.
+
+    Returns
+    -------
+    (7, n) LOG_P [nats], WEIGHT [1/m²], RESIDUAL [m], and the posterior probabilities CORE, TAIL, LOST and STRAY
+    """
+    nearest, farthest, cell = limits
+    share, loss, stray_noise, stray_effect = noise
+    short, lost_at_edge = chances
+    stray = 1 - (1 - stray_effect) * (1 - stray_noise)
+    rest = (1 - stray) * (1 - short)
+    p_stray = stray / farthest
+    out = np.zeros((7, len(z)))
+    for k in range(len(z)):
+        reading, expected, s = z[k], mu[k], sigma[k]
+        aimed, returned = math.isfinite(expected), math.isfinite(reading)
+        if math.isnan(reading):
+            continue
+        inside = _normal_cdf((farthest - expected) / s) if aimed else 0.0
+        p_core = p_tail = 0.0
+        edge, there = p_alternative[k] > 0, alternative[k]
+        inside_there, s_there = 0.0, 1.0
+        if edge and math.isfinite(there):
+            s_there = math.hypot(EDGE_WIDTH * s, spread[k])
+            inside_there = _normal_cdf((farthest - there) / s_there)
+        if returned:
+            p = 0.0
+            p_back = p_return[k] * (1 - loss)  # the density already includes that z is within the limits
+            if aimed:
+                e = reading - expected
+                out[RESIDUAL, k] = e
+                own = rest * p_back * (1 - p_alternative[k])
+                if lattice > 0:
+                    steps = reading / lattice
+                    if abs(steps - math.floor(steps + 0.5)) * lattice > LATTICE_SLACK * cell + 1e-9:
+                        own = OFF_LATTICE
+                    half = lattice / 2
+                    t = tail_width * s
+                    core = (_normal_cdf((e + half) / s) - _normal_cdf((e - half) / s)) / cell
+                    tail = (_normal_cdf((e + half) / t) - _normal_cdf((e - half) / t)) / cell
+                else:
+                    u = e / s
+                    core = math.exp(-0.5 * u * u) / (SQRT_TAU * s)
+                    u /= tail_width
+                    tail = math.exp(-0.5 * u * u) / (SQRT_TAU * s * tail_width)
+                p_core, p_tail = own * (1 - share) * core, own * share * tail
+                p = p_core + p_tail
+            if edge and math.isfinite(there):
+                u = (reading - there) / s_there
+                near = math.exp(-0.5 * u * u) / (SQRT_TAU * s_there)
+                low, high = min(there, expected), max(there, expected)
+                flat = 1 / max(high - low, MIN_EDGE_STEP) if low < reading < high else 0.0
+                p += rest * p_back * p_alternative[k] * (EDGE_NEAR * near + EDGE_BETWEEN * flat)
+            if short > 0:
+                top = min(expected, farthest) if aimed else farthest
+                if reading < top:
+                    p += (1 - stray) * short / max(top, MIN_SHORT_RANGE)
+            total = p + p_stray + unexplained / farthest
+            out[CORE, k], out[TAIL, k], out[STRAY, k] = p_core / total, p_tail / total, p_stray / total
+            if aimed and nearest + CUT * s <= expected <= farthest - CUT * s:
+                out[WEIGHT, k] = (out[CORE, k] + out[TAIL, k] / (tail_width * tail_width)) / (s * s)
+        else:
+            seen = (1 - p_alternative[k]) * inside + p_alternative[k] * inside_there
+            seen *= p_return[k]
+            gone = rest * (1 - seen)
+            if reading > 0:
+                p_lost = (1 - stray) * seen * loss
+                p_gone = p_lost + gone + (lost_at_edge if edge else 0.0)
+                total = p_gone * (1 - short) + unexplained
+                out[LOST, k] = p_lost / total
+            else:
+                too_near = (1 - p_alternative[k]) * _normal_cdf((nearest - expected) / s) if aimed else 0.0
+                if inside_there > 0.0:
+                    too_near += p_alternative[k] * _normal_cdf((nearest - there) / s_there)
+                total = rest * too_near + 0.5 * gone + unexplained
+        out[LOG_P, k] = math.log(total)
+    return out

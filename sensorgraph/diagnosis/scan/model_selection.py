@@ -1,45 +1,33 @@
-"""Effects of the scans as hypotheses of the engine: try further effects, refit all jointly, merge what is one effect.
+"""Effects of the scans as hypotheses of the engine: try further effects, and refit all jointly.
 
-`engine.selection.select` adds and removes them by evidence.
-
-Two effects of a model may be one: touching segments of a wall, or two sectors around an undisturbed one. Effects are added one at a time, so the search may split a single effect. For a pane, the first half may explain most, and
-a black segment next to it the rest. For a bias of all rays except some, two sectors around these may be found.
+The candidates of a round that may win are fitted to a part of the scans, and those close to the best to all scans. They are ranked by
+evidence; at a known site, what may be clutter comes last. `engine.selection.select` adds and removes them.
 """
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, permutations
 
 import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import select
-from sensorgraph.diagnosis.scan.candidate_fits import CandidateFits, is_rough, ranked, searched
-from sensorgraph.diagnosis.scan.fit import (
-    Fitted,
-    fit,
-    start_state,
-)
+from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, polish, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.gauss_newton import State
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate
-from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.shortlist import is_same, least_gain, shortlist
+from sensorgraph.diagnosis.scan.shortlist import SearchMemory, least_gain, name_at_place, shortlist
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
-from sensorgraph.diagnosis.scan.worth import price, worth
+from sensorgraph.diagnosis.scan.worth import evidence, price, surely_stands, worth
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
-from sensorgraph.effects.places import in_sector
-from sensorgraph.effects.range_bias import RANGE_BIAS
-from sensorgraph.effects.sector_bias import SECTOR_BIAS
-from sensorgraph.types import Progress, ProgressBars, no_progress
+from sensorgraph.effects.places import named_walls
+from sensorgraph.types import Bools, Progress, ProgressBars, no_progress
 
-Model = tuple[Amendment, ...]
-MAX_GAP = 0.2
-"""[m] maximum gap between two segments of a wall that may be one; rays that end in the gap meet both."""
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,20 +93,19 @@ class EffectSearch:
         self.rivals: dict[str, tuple[Amendment, float]] = {}
         """Effect at its place -> the second best explanation when it entered, and its deficit [nats]."""
         self._memory = SearchMemory()
-        self._chosen = self._before = self.null
-        self._n_small = 0
+        self._chosen = self.null
         self._rests: dict[int, Fitted] = {}
         """Index in the model -> the fit without this effect."""
 
     @property
     def expected(self) -> Mapping[str, Candidate]:
         """Name of each effect -> its best start in the last round, whether or not it was fitted."""
-        return self._memory.first.latest
+        return self._memory.latest
 
     def best(self, model: Sequence[Amendment]) -> tuple[Amendment, float] | None:
         """Return the best further effect and its evidence [nats], in as many rounds of fits as this needs."""
         memory = self._memory
-        while not self._has_ended():
+        while True:
             begun = self.current.j
             with self.progress(f"trying effects, round {len(self.steps) + 1}", "candidates") as tick:
                 tried, also = self._try(tick)
@@ -131,9 +118,8 @@ class EffectSearch:
             effect = self._chosen.model[-1]
             if gain >= self.threshold:
                 gain = self._against_refitted()
-            stood = memory.first.still_has(effect)
-            least = least_gain(self.current.model, effect, self._gained, stood)
-            enough = gain >= max(self.threshold, least)
+            stood = name_at_place(effect) in memory.standing
+            enough = gain >= max(self.threshold, least_gain(self.current.model, effect, self._gained, stood))
             weighed = _best_of_each([*((f.model[-1], g) for f, g in order), *also])
             self.steps.append(Step(tried=weighed, chosen=effect.name if enough else ""))
             if enough:
@@ -147,7 +133,6 @@ class EffectSearch:
             had_converged = self.current.j <= begun + self.threshold
             if had_converged and not memory.repeat_in_full():
                 return None
-        return None
 
     @property
     def _gained(self) -> float:
@@ -161,15 +146,6 @@ class EffectSearch:
         candidates = shortlist(data, current, self._gained, memory)
         fits = CandidateFits(data, current, self.noise_bounds, memory, self._gained)
         fits.add(candidates, tick)
-        if fits.is_strained:  # widened tolerances may hide an effect, so search again with the specified ones
-            if memory.at_specified is not None and fits.has_sure_winner():
-                memory.has_passed = True
-            else:
-                told = replace(self.noise_bounds, max_scale=1.0)
-                tight = fit(data, current.model, start_state(data, told), told, outer=1, inner=4)
-                memory.at_specified = shortlist(data, tight, self._gained, memory)
-            more = [c for c in memory.specified(current.model) if not any(is_same(c, o) for o in candidates)]
-            fits.add(more[: SCAN.selection.max_candidates // 2], tick)
         fits.search()
         return fits.to_all_scans(), fits.behind
 
@@ -181,17 +157,9 @@ class EffectSearch:
             self.null = self.null if again.model else again
         return worth(self.data, self._chosen.model[-1], self._chosen, self.current)
 
-    def _has_ended(self) -> bool:
-        """Tell whether the last effects changed nothing, or were so small that the remaining ones are smaller still."""
-        before, now = ({name_at_place(a) for a in one.model} for one in (self._before, self.current))
-        is_same = bool(before) and before == now
-        return self._n_small == 2 or (is_same and self.current.j < self._before.j + self.threshold)
-
     def added(self, model: list[Amendment]) -> None:
-        """Take the fit with the effect, and merge it with an earlier one that is the same."""
-        self._before = self.current
-        self._n_small += self._chosen.model[-1].ratio < self.current.state.map_scale
-        self._take(_merged(self.data, self._chosen, self.noise_bounds), model)
+        """Take the fit with the effect."""
+        self._take(self._chosen, model)
 
     def removed(self, model: list[Amendment]) -> None:
         """Take the fit without the effect, which is not tried again."""
@@ -233,51 +201,173 @@ def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amend
     return tuple(out.values())
 
 
-def _merged(data: ScanData, current: Fitted, noise_bounds: NoiseBounds) -> Fitted:
-    """Replace two effects by fewer where these explain as much."""
+class CandidateFits:
+    """Fits of a round, each to the model so far with one candidate."""
 
-    def net(fitted: Fitted) -> float:
-        return fitted.j - sum(price(a, data) for a in fitted.model)
+    def __init__(
+        self,
+        data: ScanData,
+        current: Fitted,
+        noise_bounds: NoiseBounds,
+        memory: SearchMemory,
+        gained: float,
+    ) -> None:
+        self.data, self.current, self.noise_bounds, self.memory = data, current, noise_bounds, memory
+        self._gained = gained
+        self.quick: list[tuple[float, Fitted]] = []
+        """Gains [nats] and fits to a part of the scans."""
+        self.behind: list[tuple[Amendment, float]] = []
+        """Effects far behind the best, with their gains [nats]."""
+        by_readings = -(-data.ranges.size // SCAN.selection.n_readings)
+        self._every = max(1, data.n_scans // SCAN.selection.n_scans, by_readings)
+        self._base: Fitted | None = None
 
-    for model in fewer_effects(current.model, data):
-        got = fit(data, model, current.state, noise_bounds, outer=3, inner=5)
-        if is_rough(got.model[-1]):
-            got = searched(data, got, noise_bounds, rounds=2, first=0.25, turns=1)
-        if net(got) > net(current):
-            return _merged(data, got, noise_bounds)
-    return current
+    @property
+    def best(self) -> float:
+        """[nats] Largest gain of the fits to a part of the scans."""
+        return max((gain for gain, _ in self.quick), default=-math.inf)
+
+    def has_sure_winner(self) -> bool:
+        """Return whether an effect surely enters the model, even if the fit to all scans gains less."""
+        if not self.memory.is_lazy or not self.quick:
+            return False
+        _, got = max(self.quick, key=lambda pair: pair[0])
+        least = least_gain(self.current.model, got.model[-1], self._gained, stood=False)
+        return self._limit() >= max(SCAN.selection.threshold, least)
+
+    def add(self, candidates: Sequence[Candidate], tick: Progress) -> None:
+        """Fit candidates to a part of the scans, except for those whose earlier gain is far behind the best."""
+        few = thin(self.data, self._every)
+        for done, candidate in enumerate(self.memory.most_promising_first(candidates)):
+            tick(done, len(candidates))
+            bound = self.memory.bound(candidate)
+            if self.has_sure_winner() and bound < self._limit():
+                self.behind.append((candidate.amendment, bound))
+                self.memory.has_passed = True
+                continue
+            self._fit(few, candidate)
+
+    def _fit(self, few: ScanData, candidate: Candidate) -> None:
+        """Fit one candidate to a part of the scans."""
+        if self._base is None:
+            state = thin_state(self.current.state, self._every)
+            self._base = fit(few, self.current.model, state, self.noise_bounds, outer=1, inner=2)
+        model = (*self.current.model, candidate.amendment)
+        got = fit(few, model, self._base.state, self.noise_bounds, outer=3, inner=2)
+        gain = evidence(few, got.model[-1], got, self._base) * self._every
+        gain -= price(candidate.amendment, self.data)
+        self.memory.note(candidate, gain)
+        self.quick.append((gain, got))
+
+    def _limit(self) -> float:
+        """Return the gain [nats] that comes close to the best one, less the error of gains of a part of the scans."""
+        return SCAN.selection.finalist_share * self.best - SCAN.selection.gain_margin
+
+    def search(self) -> None:
+        """Search the rough parameters of the best candidates."""
+        self.quick.sort(key=lambda pair: -pair[0])
+        few, limit = thin(self.data, self._every), self._limit()
+        for k, (gain, got) in enumerate(self.quick[: SCAN.selection.max_finalists]):
+            if gain > limit and is_rough(got.model[-1]):
+                turns = 3 if got.model[-1].effect.absorber else 1
+                better = searched(few, got, self.noise_bounds, rounds=4, first=1.0, turns=turns)
+                self.quick[k] = (gain + (better.j - got.j) * self._every, better)
+        self.quick.sort(key=lambda pair: -pair[0])
+        logger.debug("quick %s", [(f.model[-1].name, f.model[-1].place, round(g)) for g, f in self.quick])
+
+    def to_all_scans(self) -> list[tuple[Fitted, float]]:
+        """Fit the candidates that come close to the best to all scans; return the fits with their gains [nats]."""
+        finalists = self.quick[: SCAN.selection.max_finalists]
+        plain = [q for q in self.quick if not q[1].model[-1].effect.absorber]
+        if finalists and finalists[0][1].model[-1].effect.absorber and plain and plain[0] not in finalists:
+            finalists.append(plain[0])
+        out = []
+        for gain, got in finalists:
+            if gain < self._limit():
+                self.behind.append((got.model[-1], gain))
+                continue
+            full = fit(self.data, got.model, self.current.state, self.noise_bounds, outer=3, inner=3)
+            if is_rough(full.model[-1]):
+                full = searched(self.data, full, self.noise_bounds, rounds=2, first=0.25, turns=1)
+            out.append((full, worth(self.data, full.model[-1], full, self.current)))
+        return out
 
 
-def fewer_effects(model: Sequence[Amendment], data: ScanData) -> Iterator[Model]:
-    """Yield models with fewer or simpler effects that may replace this one; new effects come last."""
-    for i, j in permutations(range(len(model)), 2):
-        if (whole := _whole_part(model[i], model[j])) is not None:
-            yield (*without(model, i, j), whole)
-    for i, j in combinations(range(len(model)), 2):
-        if (both := _all_but_the_rest(model[i], model[j], data)) is not None:
-            common, rest = both
-            others = without(model, i, j)
-            known = sum(a["b"] for a in others if a.effect is RANGE_BIAS)
-            others = tuple(a for a in others if a.effect is not RANGE_BIAS)
-            yield (*others, common.moved_to({"b": common["b"] + known}), rest)
+def is_rough(amendment: Amendment) -> bool:
+    """Return whether an effect has parameters that are found by search instead of the linear solve."""
+    return bool(amendment.search_steps)
 
 
-def _whole_part(one: Amendment, other: Amendment) -> Amendment | None:
-    """Return the first effect on both segments of a wall; None if they do not touch."""
-    if one.place != other.place or not (one.effect.on_part_of_wall and other.effect.on_part_of_wall):
-        return None
-    gap = max(one["a"], other["a"]) - min(one["b"], other["b"])
-    if gap > MAX_GAP:
-        return None
-    return one.moved_to({"a": min(one["a"], other["a"]), "b": max(one["b"], other["b"])})
+def searched(
+    data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
+) -> Fitted:
+    """Search the rough parameters of the last effect, then fit again."""
+    strained = got.state.stretch > SCAN.nuisance.stretched_scale
+    for _ in range(turns):
+        polished = polish(
+            data, got.model, len(got.model) - 1, got.state, noise_bounds, rounds=rounds, first=first
+        )
+        better = fit(data, polished, got.state, noise_bounds, outer=1, inner=4 if strained else 2)
+        gained = better.j - got.j
+        if gained > 0:
+            got = better
+        if gained < 2:
+            break
+    return got
 
 
-def _all_but_the_rest(one: Amendment, other: Amendment, data: ScanData) -> tuple[Amendment, Amendment] | None:
-    """Replace two sectors with biases of the same sign by a bias of all rays and one opposite sector; None otherwise."""
-    if one.effect is not SECTOR_BIAS or other.effect is not SECTOR_BIAS or one["b"] * other["b"] <= 0:
-        return None
-    bearings = data.sensor.bearings
-    between = [(one["theta2"], other["theta1"]), (other["theta2"], one["theta1"])]
-    first, last = max(between, key=lambda ends: int(in_sector(bearings, *ends).sum()))
-    mean = float(np.mean([one["b"], other["b"]]))
-    return RANGE_BIAS(b=mean), one.moved_to({"theta1": first, "theta2": last, "b": -mean})
+def ranked(data: ScanData, tried: Sequence[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:
+    """Return the tried effects in order of their evidence; at a known site, possible clutter comes only if nothing else does.
+
+    Parameters
+    ----------
+    tried : Fits, each with the gain [nats] of the last effect in its model.
+    """
+    order = sorted(without_ends(data, tried), key=lambda pair: -pair[1])
+    if not data.clutter_nats:
+        return order
+    certain = [pair for pair in order if not _may_be_clutter(pair, data)]
+    # possible clutter waits, because it would absorb the readings of other effects
+    if any(gain >= SCAN.selection.threshold for _, gain in certain):
+        order = certain
+    return order
+
+
+def _may_be_clutter(pair: tuple[Fitted, float], data: ScanData) -> bool:
+    """Return whether an object in the room may be clutter of the building."""
+    amendment = pair[0].model[-1]
+    return amendment.effect.place == "spot" and not surely_stands(amendment, data)
+
+
+def without_ends(data: ScanData, tried: Sequence[tuple[Fitted, float]]) -> Sequence[tuple[Fitted, float]]:
+    """Compare panes, mirrors and black parts of one wall on the rays that clearly meet or clearly miss them.
+
+    A ray near an end may be on either side of it. That costs an effect with certain loss more likelihood than
+    one with probable loss.
+    """
+    order = sorted(tried, key=lambda pair: -pair[1])
+    best, gain = order[0]
+    if not best.model[-1].effect.on_part_of_wall:
+        return tried
+    out = [order[0]]
+    for got, nats in order[1:]:
+        a = got.model[-1]
+        if a.effect.on_part_of_wall and a.place == best.model[-1].place:
+            clear = ~(_near_ends(data, best) | _near_ends(data, got))
+            nats = gain - float(
+                (best.solution.responsibilities.log_p - got.solution.responsibilities.log_p)[clear].sum()
+            )
+        out.append((got, nats))
+    return out
+
+
+def _near_ends(data: ScanData, fitted: Fitted) -> Bools:
+    """Return which rays (n_scans, n_rays) meet the wall of the last effect within a few blur widths of one of its ends."""
+    a, t, scene = fitted.model[-1], data.tolerances, fitted.cast.scene
+    bare = bare_cast(scene)
+    on = np.isin(bare.wall, named_walls(data.arena, a.place))
+    blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
+    with np.errstate(invalid="ignore"):
+        along = bare.along(scene.walls)
+        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < SCAN.selection.end_blur * blur
+    return np.asarray(on & near)

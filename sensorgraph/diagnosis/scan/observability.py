@@ -21,7 +21,6 @@ import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
-from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
@@ -192,22 +191,14 @@ class RunExposure:
         columns : (n_scans, k, n_rays) Change of the readings per unit.
         size : Size of the change, in units.
         """
-        old, n = self.solver, self.n
-        solver = Solver(
-            self.data,
-            old.expected,
-            old.jacobian,
-            self.fitted.cast.scene.walls,
-            columns,
-            old.corners,
-            old.locked,
-        )
-        weight = self.fitted.solution.responsibilities.weight
+        n, weight = self.n, self.fitted.solution.responsibilities.weight
+        solver = self.solver.with_columns(columns)
         matrix = solver.assemble(weight, self.fitted.state.pose_scale).matrix
-        nuisances = matrix[:n, :n]
         return [
-            _missing(nuisances, size * matrix[:n, k], float(size * size * matrix[k, k]), self.tau, old.locked)
-            for k in range(n, n + columns.shape[1])
+            _missing(
+                matrix[:n, :n], size * matrix[:n, k], float(size**2 * matrix[k, k]), self.tau, solver.locked
+            )
+            for k in range(len(matrix) - columns.shape[1], len(matrix))
         ]
 
     def nats_alone(self, effect: Effect) -> float:

@@ -1,4 +1,4 @@
-"""Scans of a run with their poses, prepared for the comparison with the simulator."""
+"""Scans of a run with their poses, prepared for the comparison with the simulator, and the sensor that robot.yaml and log describe."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from logs.run import RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corner_sums import Corners
-from sensorgraph.diagnosis.scan.intake import described_sensor, thinned_out
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
-from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble, references_in_sweep
+from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
 from sensorgraph.effects.nuisance import POSE_LIKE
@@ -27,6 +26,8 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_returns
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.cast_memory import CastMemory
+from sensorgraph.world.described import completed
+from sensorgraph.world.ray_order import bearings_text, with_rays_like
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import Robot, Tolerances
 from sensorgraph.world.scene import Scene
@@ -36,6 +37,7 @@ T = TypeVar("T")
 
 LAID, POSED = b"laid", b"posed"
 """Keys of `ScanData.memo`: the data with the walls, and with the poses, of the latest cast."""
+GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,8 +70,6 @@ class ScanData:
     wobble: tuple[float, float] = (0.0, 0.0)
     """[m, rad] Standard deviation of the reference error within one sweep of the laser, along each axis and
     in heading."""
-    references_in_sweep: float = 0.0
-    """Number of reference poses within a sweep; their error is interpolated between them."""
     corners: Corners | None = None
     """Corners of the arena that may shift. None: all of them, unless there are too many."""
     laid: Floats | None = None
@@ -81,8 +81,6 @@ class ScanData:
     grain: float = 0.0
     """[m] Local deviation of a surface from its straight wall: half a cell of an occupancy-grid map, 0 for a
     drawn map."""
-    stated_map: float = 0.0
-    """[m] Tolerance of the map that robot.yaml specifies; smaller shifts are not named. 0: not specified."""
     known: tuple[Amendment, ...] = ()
     """Effects that are already part of the simulator."""
     clutter_nats: Mapping[str, float] = field(default_factory=dict)
@@ -284,8 +282,6 @@ def prepare_scans(
         span=float(max(when[-1] - when[0], 1e-9)),
         laser_frame=laser_frame,
         wobble=estimated_wobble(run, sensor, robot.tolerances),
-        references_in_sweep=references_in_sweep(run, sensor),
-        stated_map=robot.tolerances.map if "tolerances.map" in robot.stated else 0.0,
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return data, notes
@@ -325,3 +321,68 @@ def _positive_tolerances(tolerances: Tolerances) -> Tolerances:
     return replace(
         tolerances, **{name: max(getattr(tolerances, name), value) for name, value in vars(least).items()}
     )
+
+
+def described_sensor(run: Run, robot: Robot, *, is_laser_frame: bool) -> RangeSensor:
+    """Return the sensor of robot.yaml, with the ray order of the run; values that it does not state are the run's.
+
+    Parameters
+    ----------
+    is_laser_frame : Whether the poses are those of the laser; its mount is then zero.
+
+    Raises
+    ------
+    SensorgraphError
+        If the run is of another sensor, or the sensor has too few rays or no noise.
+    """
+    robot = completed(robot, run.sensor)
+    if robot.sensor.sigma <= 0:
+        raise SensorgraphError(
+            "sensor.sigma of robot.yaml is 0; expected the standard deviation [m] of a reading, above 0. Enter the value of "
+            "the data sheet, such as sigma: 0.01"
+        )
+    settings, recorded = SCAN.intake, run.sensor.bearings
+    described = with_rays_like(robot.sensor, recorded, tolerance=settings.max_bearing_mismatch)
+    if described is None:
+        raise SensorgraphError(
+            "the rays of the run differ from those of robot.yaml "
+            f"({bearings_text(recorded, robot.sensor.bearings)}); pass the robot that recorded it"
+        )
+    if described.n_rays < settings.min_rays:
+        raise SensorgraphError(
+            f"the sensor has {described.n_rays} rays; effects can only be distinguished with {settings.min_rays} or more"
+        )
+    factor, slack = settings.range_max_slack
+    returned = np.where(np.isfinite(run.ranges), run.ranges, 0.0)
+    beyond = float((returned > factor * described.range_max + slack).mean())
+    if beyond > settings.max_share_beyond_range:
+        raise SensorgraphError(
+            f"{100 * beyond:.0f} % of the readings are beyond sensor.range_max = {described.range_max:g} m of "
+            "robot.yaml; pass the robot that recorded the run"
+        )
+    several = run.sensor.is_composite or described.is_composite
+    if (
+        several
+    ):  # use the sensor poses of the run: its transforms, or those of the robot file it was read with
+        described = replace(described, mount=run.sensor.mount, origins=run.sensor.origins)
+    if several or run.sensor.cones.any() or described.cones.any():
+        described = replace(described, cones=run.sensor.cones)
+    mount = np.zeros(3) if is_laser_frame else described.mount
+    sigma = max(described.sigma, described.resolution / np.sqrt(12), settings.min_sigma)
+    return replace(described, mount=mount, sigma=float(sigma))
+
+
+def thinned_out(kept: Bools, n_rays: int) -> tuple[Bools, dict[str, int]]:
+    """Keep one in n of the usable scans of a long run; return them, and the number of scans left out.
+
+    One of each n successive scans is kept, at a position that changes by the golden ratio (Weyl 1916). At a
+    fixed position, every n-th scan could belong to the same facet of a mirror.
+    """
+    count = int(kept.sum())
+    step = min(-(-count * n_rays // SCAN.intake.max_readings), count // SCAN.intake.min_scans)
+    if step <= 1:
+        return kept, {}
+    some, group = np.zeros_like(kept), np.arange(count // step)
+    within = (step * (GOLDEN_RATIO * group % 1.0)).astype(np.intp)
+    some[np.flatnonzero(kept)[step * group + within]] = True
+    return some, {f"of a long run, of which one in {step} is used": count - int(some.sum())}

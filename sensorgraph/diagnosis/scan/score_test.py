@@ -65,7 +65,8 @@ def smooth_candidates(data: ScanData, fitted: Fitted) -> list[Candidate]:
     tau = solver.scaled(state)
     held = solver.locked
     problem = _problem(system, tau, held)
-    reference = _value(system, tau, problem.optimum.x)
+    here = problem.optimum.x
+    reference = _quadratic(system.matrix, system.right, tau, here, here)
     found = []
     for hypothesis in hypotheses(data, fitted):
         amendment, directions = hypothesis.amendment, hypothesis.directions
@@ -80,37 +81,45 @@ def smooth_candidates(data: ScanData, fitted: Fitted) -> list[Candidate]:
             {k: amendment.parameters.get(k, 0.0) + float(v) for k, v in zip(names, size, strict=True)}
         )
         found.append(Candidate(amendment=moved, gain=value - reference))
-    found += _by_own_columns(data, fitted, weight)
-    found += _of_one_sensor(data, fitted, weight)
+    found += _outside_nuisances(data, fitted, weight)
     return sorted(found, key=lambda c: -c.gain)
 
 
-def _by_own_columns(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
-    """Test the smooth effects outside the span of the nuisances, with columns of difference quotients."""
+def _outside_nuisances(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
+    """Test smooth effects outside the span of the nuisances, in one system with the columns of all.
+
+    These are effects with columns of their own and, of several sensors, bias, scale and mount of each.
+    """
     old, state = fitted.solver, fitted.state
-    tau, found = old.scaled(state), []
-    for effect in EFFECTS.values():
-        if not effect.has_own_columns or effect.name in fitted.names():
-            continue
-        at_neutral = effect.at_neutral()
-        wide = old.with_columns(columns_of(data, fitted, at_neutral))
-        system = wide.assemble(weight, state.pose_scale)
-        k = len(effect.steps)
-        without, _ = _solved(system.matrix[:-k, :-k], system.right[:-k], tau, old.locked)
-        value, x = _solved(system.matrix, system.right, tau, old.locked)
-        values = {name: at_neutral[name] + float(v) for name, v in zip(effect.steps, x[-k:], strict=True)}
-        found.append(Candidate(amendment=at_neutral.moved_to(values), gain=value - without))
+    own = [
+        effect for effect in EFFECTS.values() if effect.has_own_columns and effect.name not in fitted.names()
+    ]
+    blocks = [(effect.at_neutral(), columns_of(data, fitted, effect.at_neutral())) for effect in own]
+    blocks += _of_one_sensor(data, fitted)
+    if not blocks:
+        return []
+    wide = old.with_columns(np.concatenate([columns for _, columns in blocks], axis=1))
+    system, tau = wide.assemble(weight, state.pose_scale), old.scaled(state)
+    n_old = len(system.right) - sum(columns.shape[1] for _, columns in blocks)
+    without, _ = _solved(system.matrix[:n_old, :n_old], system.right[:n_old], tau, old.locked)
+    found, first = [], n_old
+    for at, columns in blocks:
+        k = columns.shape[1]
+        some = np.concatenate([np.arange(n_old), np.arange(first, first + k)])
+        value, x = _solved(system.matrix[np.ix_(some, some)], system.right[some], tau, old.locked)
+        moved = {name: at[name] + float(v) for name, v in zip(at.effect.steps, x[-k:], strict=True)}
+        found.append(Candidate(amendment=at.moved_to(moved), gain=value - without))
+        first += k
     return found
 
 
-def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
-    """Test bias, scale and mount of each of several sensors, in one system with the columns of all."""
+def _of_one_sensor(data: ScanData, fitted: Fitted) -> list[tuple[Amendment, Floats]]:
+    """Return bias, scale and mount of each of several sensors, each with its columns (n_scans, k, n_rays)."""
     if not data.sensor.is_composite:
         return []
-    old, state = fitted.solver, fitted.state
     owner = sensor_of_rays(data.sensor)
     present = {(a.name, a.place) for a in fitted.model}
-    blocks, columns = [], []
+    out = []
     for effect in effects_with_nuisances():
         if effect.stage not in STAGES_OF_ONE_SENSOR:
             continue
@@ -118,24 +127,8 @@ def _of_one_sensor(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candi
         for number, name in enumerate(part_names(data.sensor)):
             at = effect(**{**dict.fromkeys(effect.steps, 0.0), **effect.at_neutral().parameters}).at(name)
             if (at.name, at.place) not in present:
-                blocks.append(at)
-                columns.append(np.where(owner == number, by_parameter, 0.0).transpose(1, 0, 2))
-    if not blocks:
-        return []
-    tau = old.scaled(state)
-    system = old.with_columns(np.concatenate(columns, axis=1)).assemble(weight, state.pose_scale)
-    n_old = len(system.right) - sum(part.shape[1] for part in columns)
-    base = np.arange(n_old)
-    without, _ = _solved(system.matrix[:n_old, :n_old], system.right[:n_old], tau, old.locked)
-    found, first = [], n_old
-    for at in blocks:
-        k = len(at.effect.steps)
-        some = np.concatenate([base, np.arange(first, first + k)])
-        value, x = _solved(system.matrix[np.ix_(some, some)], system.right[some], tau, old.locked)
-        moved = {name: at[name] + float(v) for name, v in zip(at.effect.steps, x[-k:], strict=True)}
-        found.append(Candidate(amendment=at.moved_to(moved), gain=value - without))
-        first += k
-    return found
+                out.append((at, np.where(owner == number, by_parameter, 0.0).transpose(1, 0, 2)))
+    return out
 
 
 def _columns_of_sensors(data: ScanData, fitted: Fitted, effect: Effect) -> Floats:
@@ -177,9 +170,7 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
         return []
     changed = {a.place for a in fitted.model if a.effect.place == "obstacle"}
     length = np.hypot(*np.diff(data.arena.walls, axis=1)[:, 0].T)
-    is_short = (
-        length < 2 * SCAN.naming.min_wall_pixels * data.grain
-    )  # in cells of the map; each further wall costs one solution
+    is_short = length < 2 * SCAN.naming.min_wall_pixels * data.grain  # each further wall costs one solution
     short = {name for name, few in zip(data.arena.names, is_short, strict=True) if few}
     out = []
     for effect in sorted(EFFECTS.values(), key=lambda e: MAP_PLACES.index(e.place)):
@@ -217,12 +208,7 @@ def _along(system: System, tau: Floats, problem: BorderedProblem, directions: Fl
     own, size = x[:-k], x[-k:]
     moved = own.copy()
     moved[:n] += directions @ size
-    return _value(system, tau, own, moved), size
-
-
-def _value(system: System, tau: Floats, x: Floats, moved: Floats | None = None) -> float:
-    """Return q of a system for readings that are shifted as by `moved` (k,), with the nuisances of x (k,)."""
-    return _quadratic(system.matrix, system.right, tau, x, x if moved is None else moved)
+    return _quadratic(system.matrix, system.right, tau, own, moved), size
 
 
 def _quadratic(matrix: Floats, right: Floats, tau: Floats, x: Floats, moved: Floats) -> float:

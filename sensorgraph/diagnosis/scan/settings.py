@@ -141,12 +141,9 @@ class NuisanceSettings:
     its incidence."""
     max_steep_sigma: float = 1.0
     """[m] Maximum additional standard deviation of a reading: of a grazing ray, or of one that a surface has deflected."""
-    max_corners: int = 400
-    """Number of corners of a map above which none of them may shift."""
-    max_pixel_corners: int = 200
-    """Maximum number of corners of an occupancy-grid map that may shift: those that most rays meet. Errors of
-    the others count as noise, because a building has thousands of corners, and time grows with the square of
-    their number."""
+    max_corners: int = 200
+    """Number of corners of a map above which none of them may shift; in an occupancy-grid map, those that most rays meet. Errors
+    of the others count as noise, because a building has thousands of corners, and time grows with the square of their number."""
     max_pose_error: float = 3.5
     """Maximum Mahalanobis length of the estimated pose error of a scan."""
     stretched_scale: float = 1.3
@@ -155,7 +152,7 @@ class NuisanceSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class LikelihoodSettings:
-    """Beam mixture of one reading (`likelihood`, `beam_mixture`)."""
+    """Beam mixture of one reading (`likelihood`)."""
 
     tail_width: float = 3.0
     """Standard deviation of the tail, in multiples of the core's."""
@@ -220,20 +217,16 @@ class SelectionSettings:
     """Maximum number of effects in a model."""
     max_candidates: int = 10
     """Maximum number of candidates fitted on a part of the scans."""
-    max_searched: int = 5
-    """Maximum number of candidates whose searched parameters are searched."""
     max_finalists: int = 3
-    """Maximum number of candidates fitted on all scans."""
+    """Maximum number of candidates whose rough parameters are searched, and that are fitted on all scans."""
     finalist_share: float = 0.5
-    """Share of the best gain below which a candidate is not fitted on all scans."""
+    """Share of the best gain below which they are not."""
     gain_margin: float = 20.0
     """[nats] Slack on gains that were found on a part of the scans."""
     n_scans: int = 130
     """Number of scans on which all candidates are fitted."""
     n_readings: int = 50_000
     """Maximum number of readings of these scans: lasers of many rays need fewer scans."""
-    searched_share: float = 0.2
-    """Share of the best gain below which the parameters of a candidate are not searched."""
     same_gain: float = 0.8
     """Minimum ratio of the smaller to the larger of a candidate's expected gains, in the bare model and now.
     Above it, the gain is unchanged, and the candidate is not a remainder of other effects."""
@@ -266,8 +259,6 @@ class StandardErrorSettings:
     """Maximum number of casts per side."""
     first_step: float = 0.1
     """First step, relative to the first step of the search."""
-    max_step: float = 20.0
-    """Maximum step, relative to the first step of the search; beyond it, a parameter is undetermined."""
     obstacle_step: float = 0.02
     """[m] First step along which an obstacle is moved."""
 
@@ -321,13 +312,12 @@ class GoodnessOfFitSettings:
     outline_distance: float = 0.1
     """[m] Distance from mapped walls above which an obstacle is separate from them."""
     min_readings: int = 20
-    """Number of readings that an absorbing effect must explain, or the absence of an object, to be tested."""
+    """Number of readings that an absorbing effect must explain, or the absence of an object, to be tested; and of scored rays of
+    a scan that counts for the dispersion."""
     failed_law_share: float = 0.1
     """Share of an effect's evidence that counts as unexplained if its readings contradict its properties."""
     clearly_better: float = 1.0
     """[nats] Minimum gain of a reading that one model explains and another does not."""
-    min_rays_of_scan: int = 10
-    """Number of scored rays above which a scan counts for the dispersion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -405,14 +395,9 @@ class NamingSettings:
     """Minimum probability that the size of a named effect is material."""
     map_sigmas: float = 4.0
     """Minimum protrusion of an obstacle from a mapped one, in map tolerances."""
-    map_pixels: float = 2.5
-    """Minimum protrusion of an obstacle from a mapped one, and half of the minimum part of a wall, in cells
-    of the map."""
     min_wall_pixels: float = 20.0
     """Minimum length of a wall that is tested for a move, in cells of the map; a shorter one moves with its
     neighbours."""
-    min_passed_share: float = 0.5
-    """Minimum share of the rays aimed at a missing obstacle that pass its place, in an occupancy-grid map."""
     max_unexplained_share: float = 0.006
     """Maximum unexplained misfit of a named effect, relative to its evidence."""
     max_building_share: float = 0.1

@@ -1,19 +1,25 @@
-"""The candidates of a round, from the score test and the proposals of effects.
+"""The candidates of a round, from the score test and the proposals of effects, and what the search remembers of earlier rounds.
 
 An effect evaluates the residuals where it would show (`Diagnostics.propose`), or lists values to be cast
 (`Diagnostics.sweep`). `model_selection` fits and compares the candidates.
+
+The gain of an effect rarely grows as other effects enter the model, because they explain readings that it would explain.
+The gain of an earlier round therefore bounds the present one, and a candidate whose bound is far below the best gain of a
+round is not fitted (Minoux 1978, Accelerated greedy algorithms for maximizing submodular set functions). The bound is void where
+the score test expects more than it did at that fit. It is used only next to a candidate that surely enters the model, so a search
+ends with a round that fits every candidate.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from sensorgraph.diagnosis.scan.fit import Fitted, log_likelihood, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
-from sensorgraph.diagnosis.scan.search_memory import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.worth import surely_stands
 from sensorgraph.effects import EFFECTS, Amendment, Effect
@@ -37,16 +43,14 @@ def shortlist(
     Parameters
     ----------
     gained : [nats] Gain of the model so far; the remainders that its effects may leave are a share of it.
-    memory : Gains expected in the bare model are stored there, and dropped when they change.
+    memory : The starts of each effect, and the gains expected in the bare model, are stored there.
     """
     smooth = smooth_candidates(data, current)
     sharp = [c for c in smooth if c.gain > PROPOSAL.min_gain]
     rough = proposed_candidates(FitResiduals(data, current))
     if data.clutter_nats:
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))
-    first = memory.first
-    first.compare((*sharp, *rough), is_first=not current.model)
-    first.note((*smooth, *rough))
+    memory.note_expected((*smooth, *rough), is_bare=not current.model)
     present = {name_at_place(a) for a in current.model}
     out: list[Candidate] = []
     seen: dict[str, int] = {}
@@ -63,7 +67,7 @@ def shortlist(
                 continue
             if data.from_scans and _stretches(c.amendment) and any(map(_stretches, current.model)):
                 continue  # the poses have been scaled with the map, so the scales of map and laser are equivalent
-            if c.gain < least_gain(current.model, c.amendment, gained, first.has(c)):
+            if c.gain < least_gain(current.model, c.amendment, gained, memory.stands(c)):
                 continue
             if any(is_same(c, o) for o in out) or seen.get(c.amendment.name, 0) >= 3:
                 continue
@@ -184,3 +188,80 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     if state is nominal:
         data.memo[key] = best
     return best
+
+
+def name_at_place(amendment: Amendment) -> str:
+    """Return the name of an effect with its place: `glass@hall/edge_2`."""
+    return f"{amendment.name}@{amendment.place}"
+
+
+@dataclass(frozen=True)
+class EarlierFit:
+    """The gain [nats] that the best start of an effect had, and the largest that was expected of its starts."""
+
+    gain: float = -math.inf
+    expected: float = -math.inf
+
+
+@dataclass(eq=False)
+class SearchMemory:
+    """Candidates of the rounds so far."""
+
+    struck: set[tuple[str, str]] = field(default_factory=set)
+    """Effects and places that were removed from the model."""
+    latest: dict[str, Candidate] = field(default_factory=dict)
+    """Name of each effect -> the start with the largest gain that was expected last."""
+    bare: dict[str, list[float]] = field(default_factory=dict)
+    """Effect at its place -> gains [nats] expected of its starts in the bare model."""
+    standing: set[str] = field(default_factory=set)
+    """Effects at their places of which a start is expected to gain as much now."""
+    is_lazy: bool = False
+    """Whether the present round may pass candidates by."""
+    has_passed: bool = False
+    """Whether it has passed any by."""
+    _fits: dict[str, EarlierFit] = field(default_factory=dict)
+    _this_round: dict[str, EarlierFit] = field(default_factory=dict)
+
+    def note_expected(self, candidates: Sequence[Candidate], *, is_bare: bool) -> None:
+        """Store the best start of each effect, and which starts have the gain that was expected in the bare model."""
+        self.latest = {}
+        for c in sorted(candidates, key=lambda c: -c.gain):
+            self.latest.setdefault(c.amendment.name, c)
+            if is_bare:
+                self.bare.setdefault(name_at_place(c.amendment), []).append(c.gain)
+        self.standing = {name_at_place(c.amendment) for c in candidates if self.stands(c)}
+
+    def stands(self, candidate: Candidate) -> bool:
+        """Return whether the same gain was expected of a start of this effect in the bare model; it is then no remainder."""
+        ratio, gains = SCAN.selection.same_gain, self.bare.get(name_at_place(candidate.amendment), ())
+        return any(ratio * gain < candidate.gain < gain / ratio for gain in gains)
+
+    def begin(self) -> None:
+        """Begin a round."""
+        self._fits |= self._this_round
+        self._this_round = {}
+        self.has_passed = False
+
+    def repeat_in_full(self) -> bool:
+        """Let the next round fit every candidate, and return whether this round did not."""
+        self.is_lazy = False
+        return self.has_passed
+
+    def note(self, candidate: Candidate, gain: float) -> None:
+        """Store the gain [nats] of a fit in this round; of several starts of an effect at a place, the largest counts."""
+        key = name_at_place(candidate.amendment)
+        known = self._this_round.get(key, EarlierFit())
+        self._this_round[key] = EarlierFit(
+            gain=max(known.gain, gain), expected=max(known.expected, candidate.gain)
+        )
+
+    def bound(self, candidate: Candidate) -> float:
+        """Return the gain [nats] that a candidate had at its last fit; inf without a fit, or if more is expected now."""
+        known = self._fits.get(name_at_place(candidate.amendment))
+        if known is None or candidate.gain > known.expected / SCAN.selection.same_gain:
+            return math.inf
+        return known.gain
+
+    def most_promising_first(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Return the candidates in the order in which they are fitted."""
+        return sorted(candidates, key=lambda c: -self.bound(c)) if self.is_lazy else list(candidates)

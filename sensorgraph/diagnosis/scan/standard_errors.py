@@ -20,6 +20,8 @@ Here c_k is the autocovariance of the n pose errors at lag k. The sum ends at th
 not positive (Geyer 1992, Practical Markov chain Monte Carlo, section 3.3). A fit treats the pose errors of all
 scans as independent. If they are correlated in time, their mean in the robot frame or along its path has a
 larger error.
+
+Test whether an effect exceeds the errors that the setup may have, given the tolerances of the fit.
 """
 
 from __future__ import annotations
@@ -38,9 +40,12 @@ from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.set_up import SetUp
 from sensorgraph.types import Floats
+from sensorgraph.world.robot import Tolerances
 
 LEAST_SEEN = 0.1
 """Minimum share of the squared error that a run shows, for any correlation time."""
+SURELY_MATERIAL = "surely_material"
+"""Name of the rule that a size exceeds its materiality with sufficient probability."""
 
 
 def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str, float], ...]:
@@ -184,10 +189,8 @@ def _fall(
         if bounds[0] < fall < bounds[1]:
             return h * float(np.sqrt(0.5 / fall))
         low, high = (h, high) if fall < bounds[0] else (low, h)
-        if low > SCAN.standard_error.max_step * reach:
-            return np.inf
         h = 4 * low if high == np.inf else float(np.sqrt(max(low, high / 30) * high))
-    return h
+    return h if np.isfinite(high) else np.inf
 
 
 def _by_block(data: ScanData, slope: Floats) -> float:
@@ -303,3 +306,55 @@ def error_of_mean(values: Floats) -> float:
     summed = 2 * float(pairs[:kept].sum()) - float(covariance[0])
     square = summed / n / max(1 - (4 * kept - 1) / n, LEAST_SEEN)
     return float(np.sqrt(max(square - (float(covariance[0]) + square) / n, 0.0)))
+
+
+def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
+    """Return whether a change of the building is within the errors of the map.
+
+    This holds for a wall of an occupancy-grid map, or the map as a whole, that moved by less than a cell, and for a disc that stands
+    out of a mapped object by a small distance. A disc that may be as large as the largest one also counts, because it was fitted to
+    a flat object.
+    """
+    data, values = fitted.solver.data, amendment.parameters
+    if amendment.effect.place != "spot":
+        return _is_within_cell(data, amendment)
+    largest = amendment.effect.parameter("r").high - amendment.effect.sizes["r"]
+    if values["r"] + 2 * amendment.stderr.get("r", 0.0) > largest:
+        return True
+    spot = np.array([[values["x"], values["y"]]])
+    if data.arena.contains(spot)[0]:
+        return False
+    stands_out = values["r"] - float(data.barriers.distances(spot)[0])
+    return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted, amendment)
+
+
+def _is_within_cell(data: ScanData, amendment: Amendment) -> bool:
+    """Return whether the walls that an effect moves, less twice its standard error, stay within a cell of the map."""
+    effect = amendment.effect
+    if data.grain <= 0 or effect.place == "obstacle" or effect.diagnostics.corner_shifts is None:
+        return False
+    scene = data.scene()
+    before = scene.walls.copy()
+    amendment(scene)
+    shift = (scene.walls - before).reshape(-1, 2)
+    if effect.place is None:
+        shift = shift - shift.mean(axis=0)  # the poses absorb it
+    return float(np.hypot(*shift.T).max()) - 2 * amendment.stderr.get("d", 0.0) < 2 * data.grain
+
+
+def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
+    """Return whether an effect without a size explains too few readings, as with a cut-off next to the specified one."""
+    if amendment.effect.sizes or amendment.effect.diagnostics.is_lattice:
+        return False
+    data = fitted.solver.data
+    rest = tuple(a for a in fitted.model if a != amendment)
+    better = log_p_at(data, fitted.model, fitted.state) - log_p_at(data, rest, fitted.state)
+    settings = SCAN.goodness_of_fit
+    return float((better > settings.clearly_better).mean()) < settings.min_share
+
+
+def required_ratio(fitted: Fitted, amendment: Amendment) -> float:
+    """Return the minimum size of an effect in materialities: more for wide specified tolerances, or if the fit widened them."""
+    proved = max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
+    usual, told = prior_widths(Tolerances()), prior_widths(fitted.solver.data.tolerances)
+    return proved * float((told / usual)[list(amendment.effect.nuisances)].max(initial=1.0))

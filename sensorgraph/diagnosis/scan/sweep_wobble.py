@@ -1,4 +1,4 @@
-"""Reference error that varies during a sweep of the laser: its size, its effect on readings, and random draws of it.
+"""Reference error that varies during a sweep of the laser: its size, and its effect on readings.
 
     wobble = sqrt(share) noise,   noise = median |Δ² pose| / (0.6745 sqrt(6))
     share = R(0) - (2 / count²) ∫ (count - lag) R(lag) d lag   over lag = 0 … count
@@ -84,28 +84,3 @@ def wobble_of_readings(wobble: tuple[float, float], pose: Floats) -> Floats:
     xy, yaw = wobble
     spread = np.hypot(xy * np.hypot(pose[:, 0], pose[:, 1]), yaw * pose[:, 2])
     return np.minimum(spread, SCAN.nuisance.max_steep_sigma)
-
-
-def drawn_wobble(
-    wobble: tuple[float, float], count: float, when: Floats, pose: Floats, rng: np.random.Generator
-) -> Floats:
-    """Draw the errors of readings (n_scans, n_rays) [m] from the reference error within a sweep.
-
-    Neighbouring rays share the error. It is interpolated between two references, as the poses are. Its mean
-    over a scan is removed, because it belongs to the pose error.
-
-    Parameters
-    ----------
-    wobble : [m, rad] standard deviation of the error, along each axis and in heading
-    count : number of references in a sweep
-    when : (n_rays,) time of each ray in the sweep, from 0 for the first to 1 for the last
-    pose : (n_scans, 3, n_rays) derivatives of the readings by x, y, phi
-    """
-    sizes = np.array(wobble)[[0, 0, 1]] / np.sqrt(share_within(count))
-    known = sizes[:, None] * rng.normal(size=(len(pose), 3, int(count) + 3))
-    at = rng.random((len(pose), 1)) + count * when
-    before, part = at.astype(np.intp)[:, None, :], (at % 1)[:, None, :]
-    error = np.take_along_axis(known, before, axis=2) * (1 - part)
-    error += np.take_along_axis(known, before + 1, axis=2) * part
-    error -= error.mean(axis=2, keepdims=True)
-    return np.asarray(np.einsum("nkm,nkm->nm", pose, error))

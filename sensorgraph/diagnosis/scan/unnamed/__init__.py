@@ -7,11 +7,9 @@ from sensorgraph.diagnosis.scan.unnamed.absorbed_readings import ABSORBED_READIN
 from sensorgraph.diagnosis.scan.unnamed.change_in_time import CHANGE_IN_TIME
 from sensorgraph.diagnosis.scan.unnamed.error_profiles import ERROR_PROFILES
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed, sure
-from sensorgraph.diagnosis.scan.unnamed.object_at_wall import OBJECT_AT_WALL
-from sensorgraph.diagnosis.scan.unnamed.scans_differ import SCANS_DIFFER
+from sensorgraph.diagnosis.scan.unnamed.objects import OBJECT_AT_WALL, TEMPORARY_OBJECT
 from sensorgraph.diagnosis.scan.unnamed.scans_elsewhere import SCANS_ELSEWHERE
-from sensorgraph.diagnosis.scan.unnamed.temporary_object import TEMPORARY_OBJECT
-from sensorgraph.diagnosis.scan.unnamed.unexplained import UNEXPLAINED
+from sensorgraph.diagnosis.scan.unnamed.unexplained import SCANS_DIFFER, UNEXPLAINED
 from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import LASER_SCATTER, WORSE_THAN_SPECIFIED
 
 UNNAMED: dict[str, Unnamed] = {

@@ -101,7 +101,7 @@ class JumpColumns(Columns):
             {k: a[k] - m for k, m in zip(names, self.response @ estimate.values, strict=True)}
         )
         after = before.moved_to({k: before[k] + jump[k] for k in names})
-        return Words(statement=_sentence(before, after, self.when), causes=(CAUSES["time", "bias"],))
+        return Words(statement=_sentence(before, after, self.when), causes=(CAUSES["time"]["bias"],))
 
 
 def find(checked: Checked) -> list[Doubt]:

@@ -80,7 +80,7 @@ class ProfileColumns(Columns):
                 f"readings are off by up to {length(most)}, most at {np.degrees(at):.0f}°; the error depends on the bearing, "
                 "and no single sector explains it"
             )
-            causes = (CAUSES["bearing", "bias"],)
+            causes = (CAUSES["bearing"]["bias"],)
         elif most < 2 * grain:
             return None
         else:
@@ -88,7 +88,7 @@ class ProfileColumns(Columns):
                 f"readings are off by up to {length(most)}, most at {at:.1f} m; the error depends on the range, and neither a "
                 "bias nor a scale explains it"
             )
-            causes = (CAUSES["range", "bias"],)
+            causes = (CAUSES["range"]["bias"],)
         profile = Profile(
             of="bearing" if self.kind == BEARING_ERROR else "reading",
             over="range" if self.kind == BIAS_BY_RANGE else "bearing",

@@ -18,7 +18,6 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Progress
-from sensorgraph.world.robot import Tolerances
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,8 +75,6 @@ class Checked:
     """An accepted model with what a test for differences may need."""
 
     view: FitResiduals
-    nominal: Tolerances
-    """Specified tolerances; those of the data may be wider."""
     gains: Mapping[int, float]
     """[nats] Gain of each effect of the model."""
     gained: float
@@ -86,7 +83,6 @@ class Checked:
     """The fit without effects, which may show a difference more clearly than effects that imitate it."""
     rng: np.random.Generator
     """For replicates."""
-    n_replicates: int
     tick: Progress | None = None
 
     @property

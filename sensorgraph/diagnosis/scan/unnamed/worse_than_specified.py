@@ -1,18 +1,24 @@
-"""Reference poses, stamps, a map or a laser that are less accurate than specified.
-
-The scatter of the laser is tested before the effects (`scan.scatter_scale`).
-"""
+"""Reference poses, stamps, a map or a laser that are less accurate than specified."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sensorgraph.diagnosis.scan.consequence import ScanError
-from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.fit import Fitted, fit
+from sensorgraph.diagnosis.scan.scan_data import ScanData
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
-from sensorgraph.world.robot import Tolerances
+from sensorgraph.effects.range_noise import RANGE_NOISE
+from sensorgraph.robust import robust_sigma
 
 POSE_CAUSES = (
     "a reference pose that is less accurate than specified: a poor calibration, a slow filter, lost markers",
     "stamps of scans or poses that are late or jitter",
+)
+SIGMA_CAUSES = (
+    "sensor.sigma in robot.yaml is too small: data sheets specify the best case",
+    "a laser that vibrates, is worn, or measures through a dirty window",
 )
 MAP_CAUSES = (
     "a map that is less accurate than specified",
@@ -21,33 +27,27 @@ MAP_CAUSES = (
 
 
 def find(checked: Checked) -> list[Doubt]:
-    """Return by how much a model needs tolerances far wider than the nominal ones."""
-    view, nominal = checked.view, checked.nominal
-    state, t = view.fitted.state, view.data.tolerances
-    poses = state.pose_scale * t.pose_xy / max(nominal.pose_xy, 1e-9)
-    walls = state.map_scale * t.map / max(nominal.map, 1e-9)
-    limit = SCAN.goodness_of_fit.max_tolerance_scale
-    return beyond_tolerances(poses, walls, nominal, view.data.n_scans, limit)
+    """Return by how much a model needs tolerances far wider than the specified ones."""
+    return beyond_tolerances(checked.fitted, SCAN.goodness_of_fit.max_tolerance_scale)
 
 
-def beyond_tolerances(
-    poses: float, walls: float, nominal: Tolerances, n_scans: int, limit: float
-) -> list[Doubt]:
-    """Return poses and walls; sure are those at least `limit` times worse than their tolerances."""
+def beyond_tolerances(fitted: Fitted, limit: float) -> list[Doubt]:
+    """Return poses and walls of a fit; sure are those at least `limit` times worse than their tolerances."""
+    state, told = fitted.state, fitted.solver.data.tolerances
     return [
         Doubt(
             family=family,
             is_sure=bool(scale >= limit),
             statement=f"the {name} would have to be {scale:.1f} times worse than its tolerance",
-            misfit=(scale - 1) * n_scans,
+            misfit=(scale - 1) * fitted.solver.data.n_scans,
             statistic=scale,
             threshold=limit,
             size=ScanError(offset=scale * tolerance, affected=1.0),
             causes=causes,
         )
         for family, name, scale, tolerance, causes in (
-            ("reference_worse", "reference pose", poses, nominal.pose_xy, POSE_CAUSES),
-            ("map_worse", "map", walls, nominal.map, MAP_CAUSES),
+            ("reference_worse", "reference pose", state.pose_scale, told.pose_xy, POSE_CAUSES),
+            ("map_worse", "map", state.map_scale, told.map, MAP_CAUSES),
         )
     ]
 
@@ -60,5 +60,47 @@ WORSE_THAN_SPECIFIED = Unnamed(
     find=find,
 )
 
-SCATTER = "laser_scatter"
-LASER_SCATTER = Unnamed(titles={SCATTER: "a laser that scatters more than specified"})
+LASER_SCATTER = Unnamed(titles={"laser_scatter": "a laser that scatters more than specified"})
+"""The scatter of the laser is tested before the effects."""
+
+
+def freed_scatter(data: ScanData, final: Fitted, noise_bounds: NoiseBounds) -> NoiseBounds | None:
+    """Return noise bounds around the observed scatter if it explains more than the effects of a fit; else None.
+
+    If the noise may not exceed the specified value, twice that noise looks like noise that grows with the
+    range. A specified value that is too small is therefore tested first.
+    """
+    low, high = noise_bounds.core
+    kept = tuple(a for a in final.model if a.effect is not RANGE_NOISE or a.place)
+    has_dropped = len(kept) < len(final.model)
+    if not has_dropped and final.state.noise.core < high:
+        return None
+    seen = data.returned & final.cast.jacobian.valid
+    off = final.solution.responsibilities.residual[seen]
+    # for a normal distribution; outliers hardly change the median
+    scale = robust_sigma(off) / data.sensor.sigma
+    if not SCAN.nuisance.stretched_scale <= scale <= SCAN.site.wide_noise.core[1]:
+        return None
+    free = replace(noise_bounds, core=(low * scale, high * scale))
+    state = final.state.copy()
+    state.noise.core, state.noise.tail = scale, noise_bounds.tail[0]
+    got = fit(data, kept, state, free, outer=1, inner=6)
+    needed = 0.0 if has_dropped else SCAN.selection.threshold
+    return free if got.j > final.j + needed else None
+
+
+def doubt_of_scatter(final: Fitted) -> Doubt | None:
+    """Return a laser that scatters more than specified; None if it does not."""
+    scale, sigma = final.state.noise.core, final.solver.data.sensor.sigma
+    if scale < SCAN.nuisance.stretched_scale:
+        return None
+    return Doubt(
+        family="laser_scatter",
+        misfit=0.0,
+        statement=f"the laser scatters by {scale:.1f} times sensor.sigma in robot.yaml, at all ranges "
+        f"({1000 * scale * sigma:.0f} mm instead of {1000 * sigma:.0f} mm)",
+        statistic=scale,
+        threshold=SCAN.nuisance.stretched_scale,
+        size=ScanError(noise=sigma * (scale**2 - 1) ** 0.5, affected=1.0),
+        causes=SIGMA_CAUSES,
+    )
