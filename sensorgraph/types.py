@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 
-RayChoice = Sequence[int] | NDArray[np.integer] | None
+RayChoice = NDArray[np.integer] | Sequence[int] | None
 """Indices of rays, or a mask (n_rays,) of bool; None: all rays."""
 
 Progress = Callable[[int, int], None]
