@@ -156,9 +156,11 @@ def cells_filled(ranges: Floats, lasers: Floats, bearings: Floats, sign: int = 1
     bearings : (n_rays,) [rad]
     sign, turn : -1 for a mirrored laser, and [rad] by which it is turned.
     """
-    phi = lasers[..., 2] + sign * bearings + turn
-    ends = lasers[..., :2] + ranges[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
-    near = np.isfinite(ranges) & (ranges > 0.1) & (ranges < 10.0)
+    near = (ranges > 0.1) & (ranges < 10.0)
+    r, phi = ranges[near], (lasers[..., 2] + (sign * bearings + turn - CELL_HEADING))[near]
     cos, sin = np.cos(CELL_HEADING), np.sin(CELL_HEADING)
-    cells = np.floor(ends[near] @ np.array([[cos, -sin], [sin, cos]]) / END_POINT_CELL).astype(np.int64)
-    return float(len(np.unique(cells[:, 0] * 1_000_003 + cells[:, 1])))
+    x, y = (np.broadcast_to(lasers[..., i], ranges.shape)[near] for i in range(2))
+    column = np.floor((cos * x + sin * y + r * np.cos(phi)) / END_POINT_CELL)
+    row = np.floor((cos * y - sin * x + r * np.sin(phi)) / END_POINT_CELL)
+    cells = np.sort(1_000_003.0 * column + row)  # exact: whole numbers below 2**53
+    return float(np.count_nonzero(np.diff(cells)) + 1) if len(cells) else 0.0

@@ -15,6 +15,7 @@ import numpy as np
 
 from logs.run import Run, pair
 from logs.transforms import interpolate
+from sensorgraph.types import Floats
 from sensorgraph.world.orientation import MAX_ERROR_RATIO, cells_filled
 from sensorgraph.world.raycast import laser_poses
 
@@ -98,9 +99,14 @@ def self_fit(run: Run) -> SelfFit | None:
     ranges, bearings = run.ranges[some][:, rays], sensor.bearings[rays]
     mount = np.zeros(3) if run.pose_frame == "laser" else sensor.mount
 
-    def cells(lag: float = 0.0, turn: float = 0.0, step: float = 0.0, scale: float = 0.0) -> float:
+    def lasers_at(lag: float) -> Floats:
         poses = interpolate(times[some] + lag, run.pose_stamps[known], run.poses[known])
-        lasers = laser_poses(poses, mount)[:, None]
+        return laser_poses(poses, mount)[:, None]
+
+    as_stamped = lasers_at(0.0)
+
+    def cells(lag: float = 0.0, turn: float = 0.0, step: float = 0.0, scale: float = 0.0) -> float:
+        lasers = lasers_at(lag) if lag else as_stamped
         angles = bearings + turn + step * (bearings - sensor.bearings[0])
         return cells_filled((1 + scale) * ranges, lasers, angles)
 
