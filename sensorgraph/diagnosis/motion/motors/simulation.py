@@ -18,7 +18,7 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.diagnosis.motion.increments import SAME_STAMP
 from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
-from sensorgraph.types import Floats
+from sensorgraph.types import Floats, Ints
 
 STEP = 0.01
 """[s] step of the simulated motors."""
@@ -72,6 +72,7 @@ class MotorSimulation:
         self.limit = AccelerationLimit.MOTORS
         self._known: dict[tuple[MotorParameters, AccelerationLimit], Floats] = {}
         self._latest_held: tuple[float, Floats] | None = None
+        self._latest_steps: tuple[float, tuple[Ints, Floats]] | None = None
 
     def rates(self, motors: MotorParameters, *, later: float = 0.0) -> Floats:
         """Return mean rates (2 n,) of the motors in each row, `later` [s] after the commands; 0 where not valid."""
@@ -122,14 +123,23 @@ class MotorSimulation:
 
     def _held(self, delay: float, commands: Floats) -> Floats:
         """Return the commands that hold in each step (n_steps, 2), `delay` [s] after they were given."""
-        stamps = self.commands.stamps
-        index = np.searchsorted(stamps, self.grid + STEP - delay, side="right") - 1
-        held = np.where((index >= 0)[:, None], commands[np.maximum(index, 0)], 0.0)
-        # the step in which a held command changes is shared between old and new
-        when = stamps[np.maximum(index, 0)] + delay
-        share = np.clip((when - self.grid) / STEP, 0.0, 1.0)
-        before = np.where((index >= 1)[:, None], commands[np.maximum(index - 1, 0)], 0.0)
+        number, share = self._steps(delay)
+        given = np.concatenate([np.zeros((2, 2)), commands])  # nothing is commanded before the first
+        held, before = given[number + 1], given[number]
         return np.asarray(held + share[:, None] * (before - held))
+
+    def _steps(self, delay: float) -> tuple[Ints, Floats]:
+        """Return how many commands hold or held in each step (n_steps,), and the share of the step before the last one.
+
+        The step in which a held command changes is shared between old and new.
+        """
+        if self._latest_steps is None or self._latest_steps[0] != delay:
+            stamps = self.commands.stamps
+            number = np.searchsorted(stamps, self.grid + STEP - delay, side="right")
+            when = stamps[np.maximum(number - 1, 0)] + delay
+            share = np.clip((when - self.grid) / STEP, 0.0, 1.0)
+            self._latest_steps = (delay, (number, share))
+        return self._latest_steps[1]
 
     def _travelled(self, motors: MotorParameters, held: Floats) -> Floats:
         """Return the accumulated distance and turn of the motors at the end of each step (n_steps, 2).
