@@ -21,6 +21,7 @@ where r' and z' are those before the step.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -85,10 +86,15 @@ class ReducedSystem:
     rows: PointRows
     """The points on patches."""
 
+    @cached_property
+    def transposed_coupling(self) -> sparse.csc_array:
+        """(2 n_patches, 3 n_frames) The transposed `coupling`."""
+        return self.coupling.T
+
     def times(self, x: Floats) -> Floats:
         """Return the product of the reduced normal matrix and x (3 n_frames, m)."""
         own = np.einsum("fij,fjm->fim", self.blocks, x.reshape(self.n_frames, 3, -1)).reshape(x.shape)
-        lines = self.inverse[:, None] * (self.coupling.T @ x)
+        lines = self.inverse[:, None] * (self.transposed_coupling @ x)
         parameters = self.wheel_inverse @ (self.wheel_coupling.T @ x)
         out: Floats = own - self.coupling @ lines + self.wheels @ x - self.wheel_coupling @ parameters
         return out

@@ -103,7 +103,7 @@ class LinearisedPieces:
         )
         rhs = by_pose - system.coupling @ (system.inverse[:, None] * by_line)
         moved, _ = conjugate_gradients(system, rhs, self.preconditioner)
-        lines = system.inverse[:, None] * (by_line - system.coupling.T @ moved)
+        lines = system.inverse[:, None] * (by_line - system.transposed_coupling @ moved)
         own = (
             by
             - np.einsum("ni,nij->nj", rows.by_pose, moved.reshape(n, 3, k)[rows.frame])
