@@ -8,6 +8,7 @@ and not through a wall. If the robot does not move, nothing decides, and all rea
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -23,10 +24,11 @@ from sensorgraph.localization.scan_track import ScanTrack, determines_all, settl
 from sensorgraph.localization.scans import (
     MIN_VISIBLE,
     NOISE_MARGIN,
-    crossed,
+    crossed_by,
     laser_rays,
     moved_points,
     scan_points,
+    view_of,
 )
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -133,6 +135,7 @@ def parts_of_robot(
     others = np.unique([j for scans in elsewhere.values() for j in scans]).astype(np.intp)
     views = run.take_scans(others)
     whole, rest = scan_points(views, motion), scan_points(without_readings(views, usual), motion)
+    sorted_views = cache(lambda view: (view_of(whole, whole.of(view)), view_of(rest, rest.of(view))))
     by_any, seen, through = np.zeros((3, sensor.n_rays))
     for i, scans in elsewhere.items():
         rays = np.flatnonzero(_same(run.ranges[i], usual))
@@ -141,8 +144,9 @@ def parts_of_robot(
         ends = aims[:, :2] + run.ranges[i, rays, None] * away
         for j, view in zip(scans, np.searchsorted(others, scans).tolist(), strict=True):
             points = moved_points(ends, compose(invert(poses[j]), poses[i]))
-            by_any[rays] += crossed(points, np.zeros(3), whole, whole.of(view), NOISE_MARGIN)[0]
-            visible, free = crossed(points, np.zeros(3), rest, rest.of(view), NOISE_MARGIN)
+            of_whole, of_rest = sorted_views(view)
+            by_any[rays] += crossed_by(of_whole, points, NOISE_MARGIN)[0]
+            visible, free = crossed_by(of_rest, points, NOISE_MARGIN)
             seen[rays] += visible
             through[rays] += free
     parts = np.full(sensor.n_rays, np.nan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -210,25 +210,50 @@ def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: flo
             normals[i, k, 0], normals[i, k, 1] = nx, ny
 
 
-def crossed(
-    points: Floats, pose: Floats, scans: ScanPoints, own: slice, margin: float
-) -> tuple[Bools, Bools]:
-    """Return which points (n, 2) are visible from a scan, and which of these its rays crossed."""
+class View(NamedTuple):
+    """Returns of a scan in the order of their bearings."""
+
+    start: Floats
+    """(2,) [m] Mean origin of the rays in base_link."""
+    bearing: Floats
+    """(n,) [rad] ascending."""
+    length: Floats
+    """(n,) [m]"""
+    widest: float
+    """[rad] Gap between neighbouring returns from which the space between them is unobserved."""
+
+
+def view_of(scans: ScanPoints, own: slice) -> View:
+    """Sort the returns of a scan."""
     if own.start == own.stop:
-        none = np.zeros(len(points), dtype=np.bool_)
-        return none, none
+        return View(start=np.zeros(2), bearing=np.zeros(0), length=np.zeros(0), widest=MAX_GAP)
     start = scans.starts[own].mean(axis=0)
     rays = scans.points[own] - start
     bearing, length = np.arctan2(rays[:, 1], rays[:, 0]), np.hypot(*rays.T)
     order = np.argsort(bearing)
-    bearing, length = bearing[order], length[order]
-    local = moved_points(points, invert(pose)) - start
+    gaps = np.diff(bearing[order])
+    widest = max(MAX_GAP, 2.0 * float(np.median(gaps))) if len(gaps) else MAX_GAP
+    return View(start=start, bearing=bearing[order], length=length[order], widest=widest)
+
+
+def crossed(
+    points: Floats, pose: Floats, scans: ScanPoints, own: slice, margin: float
+) -> tuple[Bools, Bools]:
+    """Return which points (n, 2) are visible from a scan, and which of these its rays crossed."""
+    return crossed_by(view_of(scans, own), moved_points(points, invert(pose)), margin)
+
+
+def crossed_by(view: View, points: Floats, margin: float) -> tuple[Bools, Bools]:
+    """Return which points (n, 2) in base_link are visible, and which of these the rays of a view crossed."""
+    start, bearing, length, widest = view
+    if len(bearing) == 0:
+        none = np.zeros(len(points), dtype=np.bool_)
+        return none, none
+    local = points - start
     at, far = np.arctan2(local[:, 1], local[:, 0]), np.hypot(*local.T)
     right = np.searchsorted(bearing, at)
     inside = (right > 0) & (right < len(bearing))
     right = np.clip(right, 1, len(bearing) - 1)
-    gaps = np.diff(bearing)
-    widest = max(MAX_GAP, 2.0 * float(np.median(gaps))) if len(gaps) else MAX_GAP
     is_near = bearing[right] - bearing[right - 1] < widest
     in_view = inside & is_near & (far < np.maximum(length[right], length[right - 1]) + margin)
     through = in_view & (far < np.minimum(length[right], length[right - 1]) - margin)
