@@ -60,13 +60,14 @@ def prose_of_page(path: Path) -> Iterator[str]:
 def texts_of_module(path: Path) -> tuple[tuple[bool, str], ...]:
     """Return (is a help text or a message, text) of a module's strings of more than three words."""
     tree = ast.parse(path.read_text())
-    shown = set()
+    shown, constants, out = set[int](), list[ast.Constant](), list[tuple[bool, str]]()
     for node in ast.walk(tree):
-        if isinstance(node, ast.Raise):
+        if isinstance(node, ast.Constant):
+            constants.append(node)
+        elif isinstance(node, ast.Raise):
             shown |= {id(inner) for inner in ast.walk(node)}
-    out = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.count(" ") > 3:
+    for node in constants:
+        if isinstance(node.value, str) and node.value.count(" ") > 3:
             is_shown = id(node) in shown or "/cli/" in path.as_posix()
             text = SECTIONS.sub("\n", re.sub(r"\s+", " ", node.value))
             if not text.lstrip().startswith(("<", ":root")):  # HTML and CSS
