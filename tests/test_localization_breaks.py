@@ -93,6 +93,7 @@ def test_corridor_from_the_command_line_is_said_in_words(
 TEN, STANDS, SPINS = loop_poses(30)[:10], np.tile([2.0, 1.5, 0.3], (N, 1)), SPIN + [2.0, 1.5, 0.0]
 
 
+@any_times
 @pytest.mark.parametrize(
     ("truth", "has_odometry"),
     [
@@ -103,8 +104,10 @@ TEN, STANDS, SPINS = loop_poses(30)[:10], np.tile([2.0, 1.5, 0.3], (N, 1)), SPIN
         "10 scans alone", "stands", "stands, scans alone", "spins, scans alone", "10 scans", "spins", "20 scans", "20 scans alone",
     ],
 )  # fmt: skip
-def test_short_standing_and_spinning_runs_are_located(truth: np.ndarray, has_odometry: bool) -> None:
-    run = room_run(truth)
+def test_short_standing_and_spinning_runs_are_located(
+    truth: np.ndarray, has_odometry: bool, times: Callable[[Run], Run]
+) -> None:
+    run = times(room_run(truth))
     found = locate(run if has_odometry else without_odometry(run))
     assert set(found.status) == {"ok"}
     assert np.abs(errors(found, truth)).max() < 0.02

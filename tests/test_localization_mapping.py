@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import further
-from localization_samples import ROOM, any_times, loop_poses, room_run
+from localization_samples import ROOM, any_times, loop_poses, room_run, timed, untimed
 
 from logs.run import Run
 from logs.transforms import compose, invert
@@ -61,9 +61,9 @@ def no_ticks(done: int, total: int) -> None:
 TRUTH = loop_poses(160, laps=2)
 
 
-@pytest.fixture(scope="module")
-def located() -> Localization:
-    return map_run(room_run(TRUTH, way_scale=0.97, heading_bias=0.05))
+@pytest.fixture(scope="module", params=[timed, *further(untimed)])
+def located(request: pytest.FixtureRequest) -> Localization:
+    return map_run(request.param(room_run(TRUTH, way_scale=0.97, heading_bias=0.05)))
 
 
 def test_two_laps_come_out_within_half_a_centimetre(located: Localization) -> None:

@@ -55,6 +55,13 @@ def interlaced(way: float = 1.0) -> Floats:
     return way * HALF * ray / N_RAYS + np.where(ray % 2 == 1, LMS, 0.0)
 
 
+@pytest.fixture(autouse=True)
+def _sought(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the search for older rays, a fit or more of the track, in the quick suite; it has tests of its own."""
+    if request.node.get_closest_marker("slow") is None:
+        monkeypatch.setattr("sensorgraph.localization.ray_times.identify_older_rays", lambda *_: None)
+
+
 def followed(run: Run) -> TrackedRun:
     return track_run(run, lambda done, total: None)
 

@@ -34,7 +34,7 @@ def without_odometry(run: Run) -> Run:
 
 
 @any_times
-@pytest.mark.parametrize("has_odometry", [True, False])
+@pytest.mark.parametrize("has_odometry", [False, *further(True)])
 def test_a_lid_over_part_of_the_view_does_not_hold_the_robot_back(
     has_odometry: bool, times: Callable[[Run], Run]
 ) -> None:
@@ -48,7 +48,7 @@ def test_a_lid_over_part_of_the_view_does_not_hold_the_robot_back(
     assert not any("contradict" in note for note in found.notes)
 
 
-@pytest.mark.parametrize("share", [0.1, 1.0, *further(0.5)])
+@pytest.mark.parametrize("share", [1.0, *further(0.1, 0.5)])
 def test_only_the_readings_of_the_part_are_left_out(share: float) -> None:
     run, hidden = with_part(room_run(LOOP, n_rays=180), 0.25, share)
     kept, notes = without_robot_parts(run)
