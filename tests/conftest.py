@@ -82,6 +82,12 @@ def no_pictures() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def no_next_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands of a test plan no next run, a third of a diagnosis, where the claim is not about it."""
+    monkeypatch.setattr("sensorgraph.diagnosis.diagnose._planned", lambda *_: None)
+
+
 @pytest.fixture(scope="session")
 def real_logs() -> Path:
     """Return the folder of real logs beside the project, or skip."""

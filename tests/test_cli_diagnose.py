@@ -71,7 +71,7 @@ def driven_run(seed: int) -> Run:
 
 @pytest.mark.usefixtures("no_pictures")
 def test_it_finds_what_is_hidden_and_writes_a_model_that_knows_it(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     runs = [str(folder / "run.mcap"), str(folder / "second.mcap")]
@@ -84,12 +84,13 @@ def test_it_finds_what_is_hidden_and_writes_a_model_that_knows_it(
     (bias,) = [e for e in report["effects"] if e["name"] == "range_bias"]
     assert abs(bias["parameters"]["b"] - 0.04) < 0.006
     assert report["gap_second_run"]["after"]["rmse_m"] < report["gap_second_run"]["before"]["rmse_m"]
+    assert (out / "next_run" / "trajectory.csv").is_file()
+    monkeypatch.setattr("sensorgraph.diagnosis.diagnose._planned", lambda *_: None)
     again = tmp_path / "again"
     known = ["--effects", str(out / "effects.yaml")]
     assert cli(["diagnose", str(folder / "run.mcap"), *known, "-o", str(again)]) == 0
     left = json.loads((again / "report.json").read_text())
     assert "range_bias" not in [e["name"] for e in left["effects"]]
-    assert (out / "next_run" / "trajectory.csv").is_file()
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -114,7 +115,7 @@ def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
     assert (tmp_path / "a" / "effects.yaml").read_bytes() == (tmp_path / "b" / "effects.yaml").read_bytes()
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("no_pictures", "no_next_run")
 def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -297,9 +298,10 @@ def test_effects_that_are_known_may_name_no_other_place(
     assert load_robot(None).name == "radix"
 
 
-@pytest.fixture(scope="module")
-def finding(folder: Path) -> Finding:
-    return diagnose(logs.read(folder / "run.mcap"), load_arena("square"), parse_robot(ROBOT))
+@cache
+def finding(plan_next: bool) -> Finding:
+    """Return what `driven_run(0)` shows."""
+    return diagnose(driven_run(0), load_arena("square"), parse_robot(ROBOT), plan_next=plan_next)
 
 
 @pytest.mark.parametrize(
@@ -307,7 +309,6 @@ def finding(folder: Path) -> Finding:
 )
 def test_ctrl_c_leaves_the_last_report_as_it_was(
     where: str,
-    finding: Finding,
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -317,7 +318,8 @@ def test_ctrl_c_leaves_the_last_report_as_it_was(
         signal.raise_signal(signal.SIGINT)
 
     (tmp_path / "report.json").write_text("of the last run")
-    monkeypatch.setattr("sensorgraph.diagnosis.diagnose.diagnose", lambda *_, **__: finding)
+    found = finding(plan_next=where == "next_run_picture")
+    monkeypatch.setattr("sensorgraph.diagnosis.diagnose.diagnose", lambda *_, **__: found)
     monkeypatch.setattr(figures, where, interrupted)
     assert cli(["diagnose", str(folder / "run.mcap"), "-o", str(tmp_path)]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
@@ -337,7 +339,7 @@ def test_ctrl_c_half_way_leaves_nothing(folder: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("no_pictures", "no_next_run")
 def test_the_command_writes_a_report_and_says_what_it_found(
     room: Arena, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

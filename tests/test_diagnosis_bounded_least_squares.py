@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import further
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
@@ -32,7 +33,7 @@ def cost(A: Floats, y: Floats, x: Floats) -> float:
     return 0.5 * float(np.sum((A @ x - y) ** 2))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *further(2, 3)])
 def test_no_correlated_problem_ends_above_the_optimum_of_bvls(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(250):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,9 @@ from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.engine.ledger import Ledger, Verdict
-from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
+from sensorgraph.diagnosis.motion.calibration.comparison import Change, change_within, compare
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, driving_ledger
-from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
+from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
 from sensorgraph.diagnosis.report.files import save_driving, save_report
@@ -98,6 +99,20 @@ def untouched() -> LaserMotion:
     return drive()
 
 
+@cache
+def calibrated(**options: float) -> DrivingCalibration:
+    """Return what `drive` with these options tells."""
+    return calibrate(drive(**options))  # type: ignore[arg-type]
+
+
+@cache
+def changed() -> tuple[DrivingCalibration, Change | None]:
+    """Return what a drive tells whose turn scale changes half-way, and the change."""
+    motion = drive(later_turns=1.04)
+    found = calibrate(motion)
+    return found, change_within(motion, found)
+
+
 def test_planted_wheels_mount_and_delay_are_found_within_their_standard_errors() -> None:
     found = calibrate(drive(radius=1.03, turns=0.97, bias=0.03, delay=-0.1))
     truth = np.array([1.03, 0.97, 0.03, *MOUNT, -0.1, 0.0, 0.0])
@@ -115,13 +130,13 @@ def test_two_standard_errors_hold_95_percent() -> None:
     assert np.mean(np.array(off) < 2.0) >= 0.86  # 48 of them: 95 % less three standard deviations of chance
 
 
-def test_untouched_runs_agree(untouched: LaserMotion) -> None:
-    said = verdict(compare(calibrate(untouched), calibrate(drive(seed=1))), "one", "two")
+def test_untouched_runs_agree() -> None:
+    said = verdict(compare(calibrated(), calibrated(seed=1)), "one", "two")
     assert said[0].startswith("The two runs agree")
 
 
-def test_a_turn_scale_that_differs_between_runs_is_told_with_its_size(untouched: LaserMotion) -> None:
-    differences = compare(calibrate(untouched), calibrate(drive(seed=1, turns=1.012)))
+def test_a_turn_scale_that_differs_between_runs_is_told_with_its_size() -> None:
+    differences = compare(calibrated(), calibrated(seed=1, turns=1.012))
     told = [d for d in differences if d.differs and d.is_material]
     assert [d.name for d in told] == ["turn_scale"]
     assert told[0].value == pytest.approx(0.012, abs=2 * told[0].stderr)
@@ -129,8 +144,7 @@ def test_a_turn_scale_that_differs_between_runs_is_told_with_its_size(untouched:
 
 
 def test_a_turn_scale_that_changes_within_a_run_is_told_with_its_time() -> None:
-    motion = drive(later_turns=1.03)
-    change = change_within(motion, calibrate(motion))
+    _, change = changed()
     assert change is not None and change.difference.name == "turn_scale"
     assert change.at_s == pytest.approx(400.0, abs=40.0)
     assert "changes during the run" in change_lines(change)[0]
@@ -166,7 +180,7 @@ def test_a_part_of_a_run_is_as_good_as_the_run(untouched: LaserMotion) -> None:
 
 def test_other_stated_mounts_do_not_move_the_found_one(untouched: LaserMotion) -> None:
     other = calibrate(replace(untouched, mount=np.array([0.2, 0.1, 0.0])))
-    assert other.values[3:6] == pytest.approx(calibrate(untouched).values[3:6], abs=1e-4)
+    assert other.values[3:6] == pytest.approx(calibrated().values[3:6], abs=1e-4)
 
 
 def finding_of(**motions: LaserMotion) -> DrivingFinding:
@@ -290,9 +304,7 @@ def test_the_ledger_of_driving_alone_says_of_each_effect_what_decided() -> None:
 
 
 def test_a_change_during_the_drive_is_the_unknown_of_its_ledger() -> None:
-    motion = drive(later_turns=1.04, n=16_000)
-    found = calibrate(motion)
-    change = change_within(motion, found)
+    found, change = changed()
     (entry,) = (one for one in driving_ledger(found, change, BASE) if one.verdict is Verdict.UNKNOWN)
     assert entry.name == "wheels_jump" and "turn scale" in entry.estimate
     short = driving_ledger(calibrate(drive(n=900)), None, BASE).of("wheels_jump")[0]

@@ -23,8 +23,8 @@ from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 
 PLANTED: list[tuple[str, dict[str, Any], str, float]] = [
-    ("actuator_lag", {"lag": 0.06}, "tau", 0.06),
     ("dead_time", {"dead": 0.08}, "L", 0.08),
+    ("actuator_lag", {"lag": 0.06}, "tau", 0.06),
     ("speed_saturation", {"v_max": 0.30}, "v_max", 0.30),
 ]
 
@@ -35,7 +35,9 @@ def test_nothing_planted_nothing_named(seed: int) -> None:
     assert result.effects == () and result.unknown is None and result.skipped == ""
 
 
-@pytest.mark.parametrize(("name", "effect", "key", "value"), PLANTED, ids=[p[0] for p in PLANTED])
+@pytest.mark.parametrize(
+    ("name", "effect", "key", "value"), [PLANTED[0], *further(*PLANTED[1:])], ids=[p[0] for p in PLANTED]
+)
 def test_planted_effect_is_named_with_its_size(
     name: str, effect: dict[str, Any], key: str, value: float
 ) -> None:
@@ -149,13 +151,14 @@ def test_a_base_that_turns_as_it_drives_is_unknown(per_metre: float, is_told: bo
     assert result.unknown is None or f"{np.degrees(per_metre):+.1f}° per metre" in result.unknown.statement
 
 
-def test_wheels_of_two_sizes_under_a_base_that_obeys_its_odometry_are_no_turn_of_the_base() -> None:
+@pytest.mark.parametrize("obeys", ["odometry", *further("reference")])
+def test_wheels_of_two_sizes_under_a_base_that_obeys_its_odometry_are_no_turn_of_the_base(obeys: str) -> None:
     run = make_run(8, diff=0.06)
-    told = run.commands + np.outer(run.commands[:, 0], [0.0, 0.06 / BASE])
-    for commands in (run.commands, told):
-        odometry, drive = diagnose_motion(replace(run, commands=commands), ROBOT, (), 0)
-        assert [a.name for a in odometry.effects] == ["wheel_radius_diff"]
-        assert drive.effects == () and drive.unknown is None
+    turns = np.outer(run.commands[:, 0], [0.0, 0.06 / BASE])
+    told = run.commands + turns if obeys == "odometry" else run.commands
+    odometry, drive = diagnose_motion(replace(run, commands=told), ROBOT, (), 0)
+    assert [a.name for a in odometry.effects] == ["wheel_radius_diff"]
+    assert drive.effects == () and drive.unknown is None
 
 
 @pytest.mark.parametrize("effect", [{"v_max": 0.30}, *further({}, {"lag": 0.08}, {"dead": 0.08})], ids=str)

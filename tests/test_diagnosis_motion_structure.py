@@ -135,8 +135,8 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
     ("distort", "said"),
     [
         (turning_at_rest, "continues at rest"),
-        (out_of_round, "repeats with every turn of a wheel"),
         *further(
+            (out_of_round, "repeats with every turn of a wheel"),
             (turned_by_place, "yaw error of the reference"),
             (worn_half_way, "changes once"),
             (scrubbing, "in tight turns"),

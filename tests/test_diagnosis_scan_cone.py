@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import further
 from scan_samples import data_of
 
 from planners.arena import Arena
@@ -37,7 +38,7 @@ def test_a_narrow_cone_is_tried_though_few_readings_are_short(hall: Arena) -> No
     assert best.amendment.name == "sonar_cone" and best.amendment["gamma"] < 0.08
 
 
-@pytest.mark.parametrize("start", [1.5, 0.45])
+@pytest.mark.parametrize("start", [1.5, *further(0.45)])
 def test_a_search_goes_on_as_long_as_it_strides(hall: Arena, start: float) -> None:
     """Four rounds ended 0.15 rad off the largest incidence, and a dropout was found beside the cone."""
     cone = EFFECTS["sonar_cone"](gamma=0.12, alpha_max=0.98)

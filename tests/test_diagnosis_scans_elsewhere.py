@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from scan_samples import checked_of, drive, hall_arena
 
 from sensorgraph.diagnosis.diagnose import diagnose
@@ -36,7 +37,7 @@ def share_in(statement: str) -> float:
     return float(statement.split(" %")[0]) / 100
 
 
-@pytest.mark.parametrize(("late", "share"), [(0.06, 0.3), (-0.05, 0.2), (0.08, 0.1)])
+@pytest.mark.parametrize(("late", "share"), [(-0.05, 0.2), *further((0.06, 0.3), (0.08, 0.1))])
 def test_late_scans_were_taken_away_from_their_poses(late: float, share: float) -> None:
     got = fitted(late, share)
     (doubt,) = doubts_of(got)

@@ -75,7 +75,7 @@ def test_nothing_is_found_where_nothing_was_planted(robot: Robot, hall: Arena) -
         pytest.param(
             RING, EFFECTS["incidence_dropout"](alpha_max=0.9).at("sensor 4"), marks=pytest.mark.slow
         ),
-        (RING, EFFECTS["range_bias"](b=0.03)),
+        pytest.param(RING, EFFECTS["range_bias"](b=0.03), marks=pytest.mark.slow),
         pytest.param(RING, EFFECTS["range_noise"](k=0.01), marks=pytest.mark.slow),
         (FRONT_AND_REAR, EFFECTS["mount_yaw"](delta=0.02).at("sensor 1")),
         pytest.param(FRONT_AND_REAR, EFFECTS["range_bias"](b=0.03).at("sensor 0"), marks=pytest.mark.slow),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import further
 
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -98,7 +99,7 @@ def mount_by(delta: Floats, dx: float) -> float:
     )
 
 
-@pytest.mark.parametrize("memory", [0.5, 0.9, 0.97])
+@pytest.mark.parametrize("memory", [0.9, *further(0.5, 0.97)])
 def test_the_mean_of_a_wandering_reference_tells_no_mount(memory: float) -> None:
     """The heading is held: whatever the errors of the poses have for a mean is taken for a mount."""
     rng = np.random.default_rng(4)

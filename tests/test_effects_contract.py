@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import polygon_arena
+from conftest import further, polygon_arena
 from diagnosis_samples import make_run
 from scan_samples import drive
 
@@ -221,7 +221,9 @@ def driven_in_a_box(robot: Robot, **effect: float) -> tuple[Run, Arena]:
     return replace(run, sensor=robot.sensor, stamps=stamps, ranges=ranges), box
 
 
-@pytest.mark.parametrize(("effect", "planted", "truth"), FURTHER_MOTION, ids=["wheels", "motors"])
+@pytest.mark.parametrize(
+    ("effect", "planted", "truth"), [FURTHER_MOTION[0], *further(FURTHER_MOTION[1])], ids=["wheels", "motors"]
+)
 def test_a_further_effect_of_wheels_or_motors_is_found_once_it_is_in_the_library(
     effect: Effect, planted: dict[str, float], truth: float, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
