@@ -136,11 +136,11 @@ def test_jumping_through_crossed_space_agrees_with_a_walk_in_small_steps() -> No
     counts = np.ones((60, 50), dtype=np.uint8)
     counts[tuple(rng.integers(0, (60, 50), (40, 2)).T)] = 0
     grid = ObservedSpace(origin=np.array([-2.0, -1.5]), cell=0.1, counts=counts, free=counts > 0)
-    origins = rng.uniform([-1.9, -1.4], [3.9, 3.4], (3000, 2))
-    turn = rng.uniform(-np.pi, np.pi, 3000)
+    origins = rng.uniform([-1.9, -1.4], [3.9, 3.4], (1000, 2))
+    turn = rng.uniform(-np.pi, np.pi, 1000)
     turn[:40] = np.repeat([0.0, np.pi / 2, np.pi, -np.pi / 2], 10)
     directions = np.column_stack([np.cos(turn), np.sin(turn)])
-    reach = rng.uniform(0.0, 4.0, 3000)
+    reach = rng.uniform(0.0, 4.0, 1000)
     steps = np.linspace(0.0, 1.0, 4001) * reach[:, None]  # 1 mm: a corner cut by less is not told
     cells = np.floor((origins[:, None] + steps[..., None] * directions[:, None] - grid.origin) / 0.1).astype(
         int
