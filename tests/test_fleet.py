@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 
 import logs
 import sensorgraph as sg
+from logs.run import Run
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.surveying import limited
@@ -232,11 +234,17 @@ def test_results_are_kept_by_content_and_settings(tmp_path: Path) -> None:
     assert newer.key(log) != key
 
 
+@cache
+def recorded() -> Run:
+    """Return a drive through four viewpoints."""
+    return sg.record(sg.plan("square", views=4))
+
+
 def test_a_fleet_is_one_table_and_a_second_call_analyses_only_new_logs(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     bags = tmp_path / "bags"
     bags.mkdir()
-    run = sg.record(sg.plan("square", views=4))
+    run = recorded()
     without = replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3)))
     logs.write(without, bags / "monday.mcap")
     whole = (bags / "monday.mcap").read_bytes()
@@ -260,6 +268,17 @@ def test_a_fleet_is_one_table_and_a_second_call_analyses_only_new_logs(tmp_path:
     assert json.loads((out / "fleet.json").read_text())["rows"][0]["robot"] == "radix"
 
 
+def in_this_process(monkeypatch: pytest.MonkeyPatch, run: Callable[..., None]) -> None:
+    """Let a fleet run its tasks without other processes, which take a second."""
+
+    def here(_: None, jobs: Iterable[tuple[str, dict[str, str]]], limits: TaskLimits) -> Iterator[Any]:
+        return ((key, task(arguments, limits)) for key, arguments in jobs)
+
+    monkeypatch.setattr("sensorgraph.surveying.cluster.run_limited", run)
+    monkeypatch.setattr("sensorgraph.surveying.fleet.surveyed", here)
+    monkeypatch.setattr("sensorgraph.surveying.fleet.cluster", lambda *_: nullcontext())
+
+
 def test_logs_of_one_robot_at_the_same_time_are_pointed_out() -> None:
     def row(log: str, robot: str, start: float) -> dict[str, Any]:
         return {"log": log, "robot": robot, "epoch_s": start, "length_s": 60.0}
@@ -276,8 +295,13 @@ def test_logs_of_one_robot_at_the_same_time_are_pointed_out() -> None:
     assert f"note: {note}" in found.lines() and "`--name REGEX`" in note
 
 
-def test_a_fleet_without_a_usable_log_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("distributed")
+def test_a_fleet_without_a_usable_log_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object) -> None:
+        raise TaskError("is no log")
+
+    in_this_process(monkeypatch, fails)
     (tmp_path / "note.txt").write_text("no log")
     assert cli(["fleet", str(tmp_path / "note.txt"), "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
@@ -293,12 +317,7 @@ def test_only_failures_that_stay_are_kept(tmp_path: Path, monkeypatch: pytest.Mo
     def fails(_: str, arguments: dict[str, str], __: TaskLimits) -> None:
         raise errors[Path(arguments["path"]).read_bytes()]("fails")
 
-    def here(_: None, jobs: Iterable[tuple[str, dict[str, str]]], limits: TaskLimits) -> Iterator[Any]:
-        return ((key, task(arguments, limits)) for key, arguments in jobs)
-
-    monkeypatch.setattr("sensorgraph.surveying.cluster.run_limited", fails)
-    monkeypatch.setattr("sensorgraph.surveying.fleet.surveyed", here)
-    monkeypatch.setattr("sensorgraph.surveying.fleet.cluster", lambda *_: nullcontext())
+    in_this_process(monkeypatch, fails)
 
     def n_new(seconds: float) -> int:
         return sg.fleet(tmp_path, tmp_path / "out", limits=TaskLimits(seconds=seconds)).n_new
@@ -325,7 +344,7 @@ def test_what_fails_every_log_is_refused_and_an_unreadable_log_is_a_line(
 
 def test_a_located_pose_does_not_absorb_an_offset_of_the_ranges() -> None:
     """A laser that looks ahead and measures 8.7 cm too long seems to stand 11 cm further back."""
-    run = sg.record(sg.plan("square", views=4))
+    run = recorded()
     arena = sg.load_arena("square")
     phi = run.poses[:, 2]
     back = run.poses - 0.11 * np.column_stack([np.cos(phi), np.sin(phi), np.zeros(len(phi))])

@@ -11,7 +11,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from bag1_samples import bag12, bag20, bag_header, chunks_of, drive, laser, record, twist, u4
-from conftest import peak
+from conftest import further, peak
 from mcap.reader import make_reader
 
 import logs
@@ -97,7 +97,7 @@ def test_bytes_that_reindexing_left_before_the_index_are_no_damage(junk: bytes, 
 
 
 @pytest.mark.parametrize("is_closed", [True, False])
-@pytest.mark.parametrize("version", ["1.2", "2.0"])
+@pytest.mark.parametrize("version", ["2.0", *further("1.2")])
 def test_every_cut_is_refused_or_whole_and_its_messages_are_recovered(
     version: str, is_closed: bool, tmp_path: Path
 ) -> None:

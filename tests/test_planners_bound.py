@@ -6,6 +6,7 @@ import heapq
 
 import numpy as np
 import pytest
+from conftest import further
 
 from planners import bound
 from planners.bound import lower_bound, shortest_steps
@@ -55,7 +56,7 @@ def optimum(need: Bools, limits: Limits) -> float:
 @pytest.mark.parametrize(
     ("shape", "share"), [((2, 1, 6), 0.9), ((3, 1, 4), 0.9), ((2, 2, 8), 0.3), ((4, 1, 8), 0.25)]
 )
-@pytest.mark.parametrize("solved", [150, 1])
+@pytest.mark.parametrize("solved", [150, *further(1)])
 def test_bound_is_never_above_the_optimum(
     shape: tuple[int, int, int], share: float, solved: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

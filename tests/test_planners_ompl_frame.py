@@ -7,6 +7,7 @@ import weakref
 
 import numpy as np
 import pytest
+from conftest import further
 from planners_samples import door_arena
 
 import planners.ompl_frame
@@ -31,7 +32,7 @@ def setup_of(made: Plan, vehicle: Vehicle) -> tuple[object, object]:
     return setup, frame.path_of(setup.getSpaceInformation(), made.curve)
 
 
-@pytest.mark.parametrize("drive", ["diff", "reeds_shepp", "dubins"])
+@pytest.mark.parametrize("drive", ["diff", "reeds_shepp", *further("dubins")])
 def test_a_plan_passes_ompls_own_check_and_costs_its_driving_time(drive: str) -> None:
     vehicle = vehicle_of(drive)
     made = plan(ARENA, vehicle, cell=0.5, headings=4, start=START if drive == "diff" else None)
