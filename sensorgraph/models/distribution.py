@@ -92,9 +92,12 @@ class Mixture:
 
     def _each(self, of_ray: object, values: ArrayLike) -> Floats:
         shape = self.p_no_return.shape
-        each = np.ascontiguousarray(np.broadcast_to(np.asarray(values, dtype=np.float64), shape))
+        each = np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), shape), order="C")
+        rows = map(
+            np.ascontiguousarray, (self.means, self.weights, self.widths)
+        )  # one compilation for all models
         out = np.empty(shape)
-        of_ray(self.means, self.weights, self.widths, each, out)  # type: ignore[operator]
+        of_ray(*rows, each, out)  # type: ignore[operator]
         out[np.isnan(each)] = np.nan
         return out
 

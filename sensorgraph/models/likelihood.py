@@ -76,10 +76,9 @@ def _fill(
 def log_density(mixture: Mixture, ranges: Floats, range_min: float, stray: float) -> Floats:
     """Return the log-likelihood (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m]."""
     out = np.empty(mixture.p_no_return.shape)
-    _fill(
-        mixture.means, mixture.weights, mixture.widths, mixture.p_no_return,
-        np.ascontiguousarray(ranges), range_min, stray, out,
-    )  # fmt: skip
+    arrays = (mixture.means, mixture.weights, mixture.widths, mixture.p_no_return, ranges)
+    means, weights, widths, none, z = map(np.ascontiguousarray, arrays)  # one compilation for all models
+    _fill(means, weights, widths, none, z, range_min, stray, out)
     return out
 
 
