@@ -321,7 +321,7 @@ def test_no_return_is_said_where_nothing_ever_stopped_a_ray() -> None:
     rng = np.random.default_rng(15)
     poses = some_poses(rng, 80)
     ranges = np.where(room(poses) > 2.0, np.inf, room(poses))
-    cells = CellModel.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=2.0)))
+    cells = CellModel.fit(scans_of(poses, ranges, RangeSensor(bearings=BEARINGS, range_max=2.0)), cell=0.1)
     fresh = some_poses(rng, 40)
     nothing = room(fresh) > 2.0
     clear = np.abs(room(fresh) - 2.0) > 0.1
