@@ -19,9 +19,9 @@ import logs
 from benchmarks.arguments import parser_of
 from logs.transforms import compose, invert
 from sensorgraph.diagnosis.motion.calibration.comparison import change_within, compare
+from sensorgraph.diagnosis.motion.calibration.driving import change_lines
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion, laser_motion
-from sensorgraph.diagnosis.motion.calibration.verdict import change_lines
 from sensorgraph.localization.kept import located
 
 CUTS = ((0, 0.5, 1), (0, 1 / 3, 2 / 3, 1), (0, 0.25, 0.5, 0.75, 1), (0, 0.3, 1), (0, 0.6, 1))

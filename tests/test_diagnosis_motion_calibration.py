@@ -19,10 +19,16 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.engine.ledger import Ledger, Verdict
 from sensorgraph.diagnosis.motion.calibration.comparison import Change, change_within, compare
-from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, driving_ledger
+from sensorgraph.diagnosis.motion.calibration.driving import (
+    DrivingFinding,
+    change_lines,
+    driving_ledger,
+    effects_of,
+    lines_of,
+    verdict,
+)
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
-from sensorgraph.diagnosis.motion.calibration.verdict import change_lines, effects_of, lines_of, verdict
 from sensorgraph.diagnosis.report.files import save_driving, save_report
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.diagnosis.without_reference import driving_of, with_driving

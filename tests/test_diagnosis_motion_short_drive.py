@@ -17,9 +17,9 @@ from logs.run import Run
 from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.motion.calibration.comparison import compare
+from sensorgraph.diagnosis.motion.calibration.driving import headline, lines_of, verdict
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion, laser_motion
-from sensorgraph.diagnosis.motion.calibration.verdict import headline, lines_of, verdict
 from sensorgraph.diagnosis.report.files import save_driving
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast
@@ -147,7 +147,7 @@ def along_the_corridor(walls: Arena) -> Run:
 def sd_ahead(run: Run) -> Floats:
     motion = laser_motion(run, run)
     assert motion.scatter is not None
-    return np.sqrt(np.diagonal(motion.scatter[0]))
+    return np.sqrt(motion.scatter[:, 0])
 
 
 def test_steps_along_a_bare_corridor_have_a_large_covariance() -> None:

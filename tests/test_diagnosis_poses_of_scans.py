@@ -15,14 +15,13 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.engine.ledger import Ledger
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, effects_of, lines_of
 from sensorgraph.diagnosis.motion.calibration.estimate import (
     N_ALL,
     PARAMETERS,
     DrivingCalibration,
     WindowRows,
 )
-from sensorgraph.diagnosis.motion.calibration.verdict import effects_of, lines_of
 from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.without_reference import located_in, with_described_mount, with_driving
 from sensorgraph.effects import Amendment

@@ -11,9 +11,14 @@ from logs.run import Run
 from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, check_odometry, diagnose_driving
-from sensorgraph.diagnosis.motion.calibration.verdict import SURE, effects_of
-from sensorgraph.diagnosis.motion.calibration.words import ABSORBED, QUANTITIES
+from sensorgraph.diagnosis.motion.calibration.comparison import ABSORBED, QUANTITIES
+from sensorgraph.diagnosis.motion.calibration.driving import (
+    SURE,
+    DrivingFinding,
+    check_odometry,
+    diagnose_driving,
+    effects_of,
+)
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect

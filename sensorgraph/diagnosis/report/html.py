@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
-from sensorgraph.diagnosis.motion.calibration.verdict import source_of
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, source_of
 from sensorgraph.diagnosis.report.considered import considered_section
 from sensorgraph.diagnosis.report.data import plain
 from sensorgraph.diagnosis.report.page_shell import page_shell, picture, warnings, without_breaks

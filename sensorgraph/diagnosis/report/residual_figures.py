@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.comparison import block_estimates
-from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration
-from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
-from sensorgraph.diagnosis.motion.calibration.words import QUANTITIES
+from sensorgraph.diagnosis.motion.calibration.comparison import QUANTITIES, block_estimates
+from sensorgraph.diagnosis.motion.calibration.estimate import BLOCKS, PARAMETERS, DrivingCalibration
 from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
 from sensorgraph.diagnosis.result import ChannelResult, Gap, Profile
 from sensorgraph.show.figures.style import (
@@ -212,7 +210,7 @@ def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> N
     axes = figure.subplots(2, 3).ravel()
     start, ticks = 0.0, list[float]()
     for (name, found), colour in zip(runs.items(), (TEAL, ALARM), strict=False):
-        values, errors, middles = block_estimates(found, CALIBRATION.blocks)
+        values, errors, middles = block_estimates(found, BLOCKS)
         minutes = (start + middles) / 60.0
         span = np.array([start, start + found.duration_s]) / 60.0
         for k, (panel, parameter) in enumerate(zip(axes, PARAMETERS, strict=True)):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.words import EFFECT_OF
+from sensorgraph.diagnosis.motion.calibration.comparison import EFFECT_OF
 from sensorgraph.diagnosis.report.considered import tolerated
 from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
 from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Gap, Rival, Unknown

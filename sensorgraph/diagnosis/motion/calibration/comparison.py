@@ -1,23 +1,136 @@
-"""Compare the calibration of wheels and mount between two runs of one robot, or between parts of one run."""
+"""Calibrated quantities, and their comparison between two runs of one robot, or between parts of one run."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
 
 from sensorgraph.diagnosis.motion.calibration.estimate import (
+    BLOCKS,
     NUISANCES,
     PARAMETERS,
     DrivingCalibration,
     WindowRows,
     calibrate,
 )
-from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
-from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
-from sensorgraph.diagnosis.motion.calibration.words import QUANTITIES
+from sensorgraph.diagnosis.motion.calibration.laser_motion import WINDOW, LaserMotion
+from sensorgraph.effects.effect import Effect
+from sensorgraph.effects.latency import LATENCY
+from sensorgraph.effects.mount_xy import MOUNT_XY
+from sensorgraph.effects.mount_yaw import MOUNT_YAW
+from sensorgraph.effects.range_scale import RANGE_SCALE
+from sensorgraph.effects.wheel_base import WHEEL_BASE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.types import Floats
+from sensorgraph.world.robot import Wheels
+
+LEAST_SIDE = 32
+"""Minimum number of windows before and after a change during a run."""
+LEVEL = 0.05
+"""Probability of a reported difference between two equal runs (over all parameters, Bonferroni)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """How a parameter is printed."""
+
+    title: str
+    unit: str
+    factor: float
+    """From SI to the unit."""
+    materiality: float
+    """[SI] minimum size that is reported."""
+    causes: str
+    """Possible causes of a change."""
+
+    def text(self, value: float, stderr: float, *, sign: bool = True) -> str:
+        """Return value and standard error in the unit."""
+        digits = max(0, min(3, 1 - int(np.floor(np.log10(max(abs(self.factor * stderr), 1e-3))))))
+        number = f"{self.factor * value:{'+' if sign else ''}.{digits}f}".replace("-", "−")
+        space = "" if self.unit.startswith("°") else " "
+        return f"{number}{space}{self.unit} ± {self.factor * stderr:.{digits}f}{space}{self.unit}"
+
+
+def _material(effect: Effect, index: int = 0) -> float:
+    """Return the materiality of a parameter of an effect."""
+    size = effect.parameters[index].materiality
+    assert size is not None
+    return size
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    "way_scale": Quantity(
+        title="distance scale",
+        unit="%",
+        factor=100.0,
+        materiality=_material(WHEEL_RADIUS, 0),
+        causes="tyre pressure or wear, a load, another floor, or another laser",
+    ),
+    "turn_scale": Quantity(
+        title="turn scale",
+        unit="%",
+        factor=100.0,
+        materiality=_material(WHEEL_BASE, 0),
+        causes="a change of tyre, load or floor, which moves the contact points of the wheels",
+    ),
+    "heading_bias": Quantity(
+        title="heading bias",
+        unit="°/m",
+        factor=float(np.degrees(1.0)),
+        materiality=_material(WHEEL_RADIUS_DIFF, 0) / Wheels().base,
+        causes="pressure loss or wear of one tyre, or a load on one side",
+    ),
+    "mount_x": Quantity(
+        title="mount x",
+        unit="cm",
+        factor=100.0,
+        materiality=_material(MOUNT_XY, 0),
+        causes="the laser was moved, or a load shifts the centre of rotation",
+    ),
+    "mount_y": Quantity(
+        title="mount y",
+        unit="cm",
+        factor=100.0,
+        materiality=_material(MOUNT_XY, 1),
+        causes="the laser was moved",
+    ),
+    "mount_phi": Quantity(
+        title="mount angle",
+        unit="°",
+        factor=float(np.degrees(1.0)),
+        materiality=_material(MOUNT_YAW, 0),
+        causes="the laser was knocked, or the robot slides sideways on another floor",
+    ),
+    "delay": Quantity(
+        title="scan delay",
+        unit="ms",
+        factor=1e3,
+        materiality=0.01,
+        causes="another driver, or a busy computer",
+    ),
+}
+EFFECT_OF: Mapping[str, str] = {
+    "way_scale": WHEEL_RADIUS.name,
+    "turn_scale": WHEEL_BASE.name,
+    "heading_bias": WHEEL_RADIUS_DIFF.name,
+    "mount_x": MOUNT_XY.name,
+    "mount_y": MOUNT_XY.name,
+    "mount_phi": MOUNT_YAW.name,
+    "delay": LATENCY.name,
+}
+"""Quantity -> effect that it becomes in a report."""
+ABSORBED: Mapping[str, str] = {
+    RANGE_SCALE.name: "too long ranges enlarge the map and make the wheels seem too small by the same factor, so that the "
+    "distance scale is relative to the laser",
+    "map_error": "the map is built from the run's own scans; its straightness is known only as far as loops close",
+    "pose_error": "the poses fit the scans by construction; only motions between scans, matched without the wheels, are "
+    "compared with the wheels",
+}
+"""What poses from the run's own scans absorb -> explanation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +176,7 @@ class Change:
 
 def compare(first: DrivingCalibration, second: DrivingCalibration) -> tuple[Difference, ...]:
     """Compare wheels and mount of two runs, in the order of PARAMETERS."""
-    limit = _threshold(CALIBRATION.level / len(PARAMETERS))
+    limit = _threshold(LEVEL / len(PARAMETERS))
     stderr = np.hypot(first.stderr, second.stderr)
     return tuple(
         Difference(
@@ -89,16 +202,16 @@ def change_within(motion: LaserMotion, found: DrivingCalibration) -> Change | No
     ----------
     found : Calibration of the whole run.
     """
-    s, n = CALIBRATION, len(motion.first)
+    n = len(motion.first)
     if not is_long_enough(found):
         return None
-    at = [n * b // s.blocks for b in range(s.blocks // 4, s.blocks - s.blocks // 4 + 1)]
-    splits = [k for k in at if min(k, n - k) >= s.window * s.least_side]
+    at = [n * b // BLOCKS for b in range(BLOCKS // 4, BLOCKS - BLOCKS // 4 + 1)]
+    splits = [k for k in at if min(k, n - k) >= WINDOW * LEAST_SIDE]
     best: Difference | None = None
     for k in splits:
         sides = compare(calibrate(motion.part(slice(0, k))), calibrate(motion.part(slice(k, n))))
         for one in sides:
-            one = replace(one, threshold=_threshold(s.level / (len(PARAMETERS) * len(splits))))
+            one = replace(one, threshold=_threshold(LEVEL / (len(PARAMETERS) * len(splits))))
             if one.differs and one.is_material and (best is None or _sigmas(one) > _sigmas(best)):
                 best = one
     if best is None:
@@ -108,7 +221,7 @@ def change_within(motion: LaserMotion, found: DrivingCalibration) -> Change | No
 
 def is_long_enough(found: DrivingCalibration) -> bool:
     """Tell whether a run has enough windows before and after a change to show it."""
-    return len(found.rows.scores) >= 2 * CALIBRATION.least_side
+    return len(found.rows.scores) >= 2 * LEAST_SIDE
 
 
 def part_of(rows: WindowRows, chosen: slice) -> WindowRows:
@@ -149,7 +262,7 @@ def _time_of(rows: WindowRows, parameter: int) -> float:
     projected out.
     """
     n = len(rows.scores)
-    least = max(n // CALIBRATION.blocks, 1)
+    least = max(n // BLOCKS, 1)
     total = rows.information.sum(axis=0) + rows.prior
     kept = [k for k in range(len(PARAMETERS) + len(NUISANCES)) if k != parameter]
     # score and information of the parameter, with the other parameters projected out

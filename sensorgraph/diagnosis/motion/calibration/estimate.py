@@ -12,6 +12,8 @@ The residuals of the steps are summed over windows, so that stamp errors cancel.
 distribution, which limits the influence of slip. The estimate is found by iteratively reweighted Gauss-Newton
 steps. The standard errors are those of a jackknife over long blocks of the run (Quenouille 1956; Cameron and
 Miller 2015), at least those of independent windows. They are widened so that twice their value covers 95 %.
+
+The constants were chosen on intel, fr079 and aces, and on parts of one located log (`benchmarks.halves`).
 """
 
 from __future__ import annotations
@@ -21,15 +23,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from logs.transforms import compose, invert, wrap
-from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
-from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
-from sensorgraph.diagnosis.motion.calibration.short_drive import (
-    N_FACTORS,
-    StepNoise,
-    most_probable,
-    student_weights,
-    widened_errors,
+from sensorgraph.diagnosis.motion.calibration.laser_motion import (
+    LEAST_WINDOWS,
+    STEP_TURN,
+    STEP_WAY,
+    WINDOW,
+    LaserMotion,
 )
+from sensorgraph.localization.settings import WHEELS
 from sensorgraph.localization.wheels import corrected_steps
 from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats
@@ -43,6 +44,20 @@ N_ALL = len(PARAMETERS) + len(NUISANCES)
 MOUNT_X, YAW = 3, 5
 DIFFERENCES = np.array([1e-4] * 6 + [1e-2] + [1e-4] * 2)
 """Steps of the numerical derivatives."""
+BLOCKS = 8
+"""Number of parts of a run that count as independent in the standard errors: slip and floors last for minutes."""
+SHOWN_STEPS = 2.0
+"""Number of steps of distance or turn; a quantity that less motion hides is hidden by the lack of it."""
+TAIL = 4.0
+"""Degrees of freedom of Student's t for the residuals."""
+ITERATIONS = 8
+"""Gauss-Newton steps."""
+SETTLED = 0.02
+"""Change of every parameter, in standard errors, below which these steps end."""
+HEADING_BIAS_SD = 0.1
+"""[rad/m] prior standard deviation of the heading bias."""
+DELAY_SD = 0.3
+"""[s] prior standard deviation of the delay between scans and odometry."""
 LEAST_BLOCK = 5
 """Minimum number of windows in a block. Shorter runs have fewer blocks, at least four, and larger
 standard errors."""
@@ -50,6 +65,12 @@ HIDDEN_SHARE = 0.5
 """Standard error, relative to the prior standard deviation, above which a drive does not show a quantity."""
 SHORT_ITERATIONS = 30
 """Maximum number of steps of a short drive; outliers lose their weight slowly (EM)."""
+NOISE_FREEDOM = 1.0
+"""Degrees of freedom of the prior of a noise factor: the noise may be several times larger or smaller than usual."""
+USUAL_SLIP = 0.3
+"""Usual slip of wheels, relative to the noise that localization expects of them (`WheelSettings`)."""
+STAMP_ERRORS = (0.003, 0.003, 0.002)
+"""[m, m, rad] error of a pose that the scans do not show: wrong stamps, above all. It cancels from step to step."""
 DERIVATIVES = 3
 """Number of initial steps in which the derivatives are updated."""
 SCALE_SD = 0.3
@@ -120,10 +141,9 @@ class DrivingCalibration:
 
 def calibrate(motion: LaserMotion) -> DrivingCalibration:
     """Estimate wheels and mount from one run; a short one has large standard errors."""
-    s = CALIBRATION
     before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
     prior = np.diag(prior_errors() ** -2.0)
-    if len(motion.first) < s.window * s.least_windows:
+    if len(motion.first) < WINDOW * LEAST_WINDOWS:
         values, stderr, rows = _from_few_steps(motion, before, prior)
     else:
         values, stderr, rows = _from_windows(motion, before, prior)
@@ -144,8 +164,7 @@ def calibrate(motion: LaserMotion) -> DrivingCalibration:
 
 def prior_errors() -> Floats:
     """Return the prior standard deviations (9,) of PARAMETERS and NUISANCES."""
-    s = CALIBRATION
-    return np.array([SCALE_SD] * 2 + [s.heading_bias_sd] + [MOUNT_SD] * 3 + [s.delay_sd] + [DRIFT_SD] * 2)
+    return np.array([SCALE_SD] * 2 + [HEADING_BIAS_SD] + [MOUNT_SD] * 3 + [DELAY_SD] + [DRIFT_SD] * 2)
 
 
 def hidden_parameters(stderr: Floats, way: float, turn: float) -> dict[str, str]:
@@ -156,14 +175,11 @@ def hidden_parameters(stderr: Floats, way: float, turn: float) -> dict[str, str]
     stderr : (9,)
     way, turn : [m, rad] Distance and turns of the whole drive by the odometry.
     """
-    s = CALIBRATION
     if way == turn == 0.0:
         short_way = short_turn = "the odometry never moves"
     else:
-        short_way = f"the robot drove {way:.1f} m" if way < s.shown_steps * s.step_way else ""
-        short_turn = (
-            f"the robot turned by {np.degrees(turn):.0f}°" if turn < s.shown_steps * s.step_turn else ""
-        )
+        short_way = f"the robot drove {way:.1f} m" if way < SHOWN_STEPS * STEP_WAY else ""
+        short_turn = f"the robot turned by {np.degrees(turn):.0f}°" if turn < SHOWN_STEPS * STEP_TURN else ""
     lacks = dict.fromkeys(PARAMETERS, short_way)
     lacks |= dict.fromkeys(("turn_scale", "mount_x", "mount_y"), short_turn)
     lacks["delay"] = short_way and short_turn
@@ -178,48 +194,87 @@ def hidden_parameters(stderr: Floats, way: float, turn: float) -> dict[str, str]
 
 
 def _from_few_steps(motion: LaserMotion, before: Floats, prior: Floats) -> tuple[Floats, Floats, WindowRows]:
-    """Return values and standard errors (9,) of a drive whose noise is modelled; there are no windows."""
-    nothing = np.zeros((0, N_ALL))
+    """Return values and standard errors (9,) of a drive whose noise has a prior; there are no windows.
+
+        r_c = J_c (theta - theta_0) + L_c e_c,   e_c ~ Student's t with variance s_c,   s_c ~ scaled inverse chi²
+
+    r_c are the residuals of the steps in c = x, y, phi, and L_c Lᵀ_c is their usual covariance (`step_covariances`).
+    The factors s are found by expectation maximisation (Lange, Little and Taylor 1989). Student's t with the degrees of
+    freedom of factor and steps widens the standard errors.
+    """
+    from scipy.stats import t as student  # slow to import, and rarely needed
+
+    n, nothing = len(motion.first), np.zeros((0, N_ALL))
     rows = WindowRows(
         information=np.zeros((0, N_ALL, N_ALL)), scores=nothing, prior=prior, from_s=np.zeros(0)
     )
-    if not len(motion.first):
+    if not n:
         return before, prior_errors(), rows
-    theta, noise, factors = before.copy(), StepNoise.of(motion), np.zeros(N_FACTORS)
-    weights = noise.first_weights(_residuals(motion, theta))
+    theta, inverse = before.copy(), np.diag(prior_errors() ** 2)
+    whitening, factors = np.linalg.inv(np.linalg.cholesky(step_covariances(motion))), np.ones(3)
     for _ in range(SHORT_ITERATIONS):
-        jacobians = _derivatives(motion, theta, 1)
-        residuals = _residuals(motion, theta) + jacobians @ (theta - before)
-        steps = noise.whitened(weights, residuals, jacobians, prior)
-        factors = most_probable(steps, factors)
-        moved = before + steps.moved(factors) - theta
+        residuals = np.einsum("cmn,nc->mc", whitening, _residuals(motion, theta))
+        jacobians = np.einsum("cmn,nca->mca", whitening, _derivatives(motion, theta, 1))
+        spread = np.einsum("nca,ab,ncb->nc", jacobians, inverse, jacobians)  # of what theta leaves uncertain
+        squares = residuals**2 + spread
+        weights = (TAIL + 1) / (TAIL + squares / factors)
+        factors = (NOISE_FREEDOM + (weights * squares).sum(axis=0)) / (NOISE_FREEDOM + n)
+        weights = weights / factors
+        inverse = np.linalg.inv(np.einsum("nc,nca,ncb->ab", weights, jacobians, jacobians) + prior)
+        score = np.einsum("nc,nca,nc->a", weights, jacobians, residuals) - prior @ (theta - before)
+        moved = inverse @ score
         theta += moved
-        if (np.abs(moved) < CALIBRATION.settled * widened_errors(steps, factors)).all():
+        if (np.abs(moved) < SETTLED * np.sqrt(np.diagonal(inverse))).all():
             break
-        weights = student_weights(steps.slips(factors) / weights)
-    stderr = widened_errors(steps, factors)
+    stderr = np.sqrt(np.diagonal(inverse)) * student.ppf(0.975, NOISE_FREEDOM + n) / 1.96
     stderr[MOUNT_X] = np.hypot(stderr[MOUNT_X], CENTRE_SD)
     return theta, stderr, rows
 
 
+def step_covariances(motion: LaserMotion) -> Floats:
+    """Return the usual covariances (3, n, n) [m², m², rad²] of steps: by the scans, by slip, and by wrong stamps.
+
+    An error of a stamp cancels from step to step.
+    """
+    steps = compose(invert(motion.odometry[:-1]), motion.odometry[1:])
+    ways = np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
+    turns = np.append(0.0, np.cumsum(np.abs(np.diff(motion.odometry[:, 2]))))
+    way, turn = (total[motion.second] - total[motion.first] for total in (ways, turns))
+    slip = USUAL_SLIP * np.stack(
+        [
+            WHEELS.ahead_per_metre * way + WHEELS.place_per_turn * turn,
+            WHEELS.left_per_metre * way + WHEELS.place_per_turn * turn,
+            WHEELS.turn_per_metre * way + WHEELS.turn_per_turn * turn,
+        ]
+    )
+    own = np.square(np.maximum(slip, 1e-6))
+    if motion.scatter is not None:
+        own = own + motion.scatter.T
+    n = len(way)
+    ends = 2 * np.eye(n)
+    k = np.flatnonzero(motion.second[:-1] == motion.first[1:])
+    ends[k, k + 1] = ends[k + 1, k] = -1.0
+    return np.asarray(own[:, :, None] * np.eye(n) + np.square(STAMP_ERRORS)[:, None, None] * ends)
+
+
 def _from_windows(motion: LaserMotion, before: Floats, prior: Floats) -> tuple[Floats, Floats, WindowRows]:
     """Return values and standard errors (9,) of a drive whose windows show the noise, and its rows."""
-    s, theta = CALIBRATION, before.copy()
+    theta = before.copy()
     information, scores = np.zeros((1, N_ALL, N_ALL)), np.zeros((1, N_ALL))
     jacobians = np.zeros((1, 3, N_ALL))
-    for iteration in range(s.iterations):
-        residuals = _added(_residuals(motion, theta), s.window)
+    for iteration in range(ITERATIONS):
+        residuals = _added(_residuals(motion, theta), WINDOW)
         if iteration < DERIVATIVES:
-            jacobians = _derivatives(motion, theta, s.window)
+            jacobians = _derivatives(motion, theta, WINDOW)
         scale = SIGMA_OF_MAD * np.median(np.abs(residuals), axis=0) + 1e-9
-        weights = (s.tail + 1) / (s.tail + (residuals / scale) ** 2) / scale**2
+        weights = (TAIL + 1) / (TAIL + (residuals / scale) ** 2) / scale**2
         information = np.einsum("kc,kca,kcb->kab", weights, jacobians, jacobians)
         scores = np.einsum("kc,kca,kc->ka", weights, jacobians, residuals)
         gradient = scores.sum(axis=0) - prior @ (theta - before)
         theta += np.linalg.solve(information.sum(axis=0) + prior, gradient)
-    begins = motion.stamps[motion.first[:: s.window][: len(scores)]] - motion.stamps[0]
+    begins = motion.stamps[motion.first[::WINDOW][: len(scores)]] - motion.stamps[0]
     rows = WindowRows(information=information, scores=scores, prior=prior, from_s=begins)
-    blocks = min(max(len(scores) // LEAST_BLOCK, 4), s.blocks)
+    blocks = min(max(len(scores) // LEAST_BLOCK, 4), BLOCKS)
     return theta, standard_errors(rows, blocks), rows
 
 

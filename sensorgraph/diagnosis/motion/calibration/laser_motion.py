@@ -10,22 +10,30 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from logs.notes import ODOMETRY_LEFT_OUT, notes_of
 from logs.run import Run, pair
 from logs.transforms import compose, invert, wrap
-from sensorgraph.diagnosis.motion.calibration.settings import CALIBRATION
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.pose_graph import PoseEdges
-from sensorgraph.localization.refinement import ReducedSystem, Refined, edge_system, refine
+from sensorgraph.localization.refinement import Refined, edge_system, refine
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
+STEP_WAY = 0.4
+"""[m] distance between two scans whose motion is measured, without turning."""
+STEP_TURN = 0.25
+"""[rad] turn between them, without driving."""
+WINDOW = 10
+"""Number of steps whose residuals are summed. Stamp errors cancel from step to step; the sum depends on
+the wheels. Windows of 1 bias turn scales by 1 to 2 %; windows of 5 to 20 agree."""
+LEAST_WINDOWS = 8
+"""Number of windows above which their scatter gives the standard errors: two in each of the four blocks that these
+need. The noise of shorter drives has a prior."""
 LONGEST_STEP = 3.0
 """Maximum length of a step, as a multiple of these; longer ones (scans without a pose, a jump of the
 odometry) are omitted."""
@@ -56,8 +64,8 @@ class LaserMotion:
     mount: Floats
     """(3,) [m, m, rad] specified pose of the laser in base_link."""
     scatter: Floats | None = None
-    """(3, n_steps, n_steps) [m², m², rad²] covariance of ahead, left and turn of the steps, by the scans; None: not
-    computed, for a long drive."""
+    """(n_steps, 3) [m², m², rad²] variance of ahead, left and turn of the steps, by the scans; None: not computed, for a
+    long drive."""
 
     def part(self, chosen: slice) -> LaserMotion:
         """Return some of the steps, with the scans between them."""
@@ -74,7 +82,7 @@ class LaserMotion:
             stamps=self.stamps[scans],
             odometry=self.odometry[scans],
             mount=self.mount,
-            scatter=None if self.scatter is None else self.scatter[:, chosen, chosen],
+            scatter=None if self.scatter is None else self.scatter[chosen],
         )
 
 
@@ -108,14 +116,14 @@ def laser_motion(
             found = _by_scans_alone(run, keys, poses, bar)
         poses = found.poses
         steps = compose(invert(poses[:-1]), poses[1:])
-        if len(steps) < CALIBRATION.window * CALIBRATION.least_windows:
+        if len(steps) < WINDOW * LEAST_WINDOWS:
             scatter = step_scatter(found, steps, mount)
         there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
         steps = compose(compose(back, steps), there)
         steps[:, 2] = wrap(steps[:, 2])
     whole = np.diff(length[keys]) < LONGEST_STEP
     if scatter is not None:
-        scatter = scatter[:, whole][:, :, whole]
+        scatter = scatter[whole]
     return LaserMotion(
         first=keys[:-1][whole],
         second=keys[1:][whole],
@@ -160,8 +168,8 @@ def _even_stamps(stamps: Floats) -> Floats:
 
 def _lengths(odometry: Floats) -> Floats:
     """Return the accumulated distance and turn at each scan (n_scans,), in steps."""
-    ways = np.hypot(*np.diff(odometry[:, :2], axis=0).T) / CALIBRATION.step_way
-    turns = np.abs(np.diff(odometry[:, 2])) / CALIBRATION.step_turn
+    ways = np.hypot(*np.diff(odometry[:, :2], axis=0).T) / STEP_WAY
+    turns = np.abs(np.diff(odometry[:, 2])) / STEP_TURN
     return np.concatenate([[0.0], np.cumsum(ways + turns)])
 
 
@@ -190,54 +198,25 @@ def _by_scans_alone(run: Run, keys: Ints, poses: Floats, progress: Progress) -> 
 
 
 def step_scatter(found: Refined, steps: Floats, mount: Floats) -> Floats:
-    """Return the covariance (3, n, n) [m², m², rad²] of ahead, left and turn of all n steps, in the laser frame.
+    """Return the variances (n, 3) [m², m², rad²] of ahead, left and turn of all n steps, in the laser frame.
 
-        covariance = E (H⁻¹ + H⁻¹ G Gᵀ H⁻¹) Eᵀ
+        variance = diag(E H⁻¹ Eᵀ)
 
     H is the normal matrix of the poses, with the lines of the patches eliminated, and E the derivative of the steps.
-    The columns of G are the scores of the clusters (a key frame on a patch), whose residuals share errors. H⁻¹ alone
-    is the covariance of independent points: it remains where a corridor has no residuals along itself.
 
     Parameters
     ----------
     steps : (n, 3) [m, m, rad] from key frame to key frame, in base_link.
     mount : (3,) [m, m, rad]
     """
-    system, n = found.system, len(steps)
-    inverse = np.linalg.inv(_normal_matrix(system) + 1e-9 * np.eye(3 * system.n_frames))
+    n, n_all = len(steps), 3 * found.system.n_frames
+    inverse = np.linalg.inv(found.system.times(np.eye(n_all)) + 1e-9 * np.eye(n_all))
     first = np.arange(n)
     chain = PoseEdges(
         first=first, second=first + 1, relative=steps, information=np.tile(np.eye(3), (n, 1, 1))
     )
     rows = _at_laser(edge_system(found.poses, chain)[0].toarray().reshape(n, 3, -1), steps, mount)
-    moved = rows.transpose(1, 0, 2) @ inverse  # (3, n, 3 n_frames)
-    shared = moved @ _cluster_scores(system)
-    return np.asarray(moved @ rows.transpose(1, 2, 0) + shared @ shared.transpose(0, 2, 1))
-
-
-def _normal_matrix(system: ReducedSystem) -> Floats:
-    """Return the reduced normal matrix of the poses (3 n_frames, 3 n_frames), dense."""
-    return system.times(np.eye(3 * system.n_frames))
-
-
-def _cluster_scores(system: ReducedSystem) -> Floats:
-    """Return the score of each cluster by the poses (3 n_frames, n_clusters), with the lines eliminated."""
-    c = np.arange(len(system.clusters.frame))
-    own = sparse.csr_array(
-        (
-            system.clusters.scores.ravel(),
-            ((3 * system.clusters.frame[:, None] + np.arange(3)).ravel(), np.repeat(c, 3)),
-        ),
-        shape=(3 * system.n_frames, len(c)),
-    )
-    lines = sparse.csr_array(
-        (
-            system.clusters.line_scores.ravel(),
-            ((2 * system.clusters.patch[:, None] + np.arange(2)).ravel(), np.repeat(c, 2)),
-        ),
-        shape=(len(system.inverse), len(c)),
-    )
-    return np.asarray((own - system.coupling @ (sparse.diags_array(system.inverse) @ lines)).toarray())
+    return np.einsum("nca,ab,ncb->nc", rows, inverse, rows, optimize=True)
 
 
 def _at_laser(rows: Floats, steps: Floats, mount: Floats) -> Floats:
