@@ -7,7 +7,7 @@ import pytest
 
 from logs.run import Run
 from sensorgraph.diagnosis.motion.odometry_channel import counts_backwards, diagnose_odometry
-from sensorgraph.diagnosis.motion.wheels.rows import motion_signals
+from sensorgraph.diagnosis.motion.wheel_rows import motion_signals
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import parse_robot
 

@@ -16,9 +16,8 @@ from planners.types import Floats
 from sensorgraph.diagnosis.motion.consequence import simulation_error
 from sensorgraph.diagnosis.motion.naming import name_motion_effects
 from sensorgraph.diagnosis.motion.odometry_channel import aligned_rows, diagnose_odometry
-from sensorgraph.diagnosis.motion.wheels.model import WheelModel
-from sensorgraph.diagnosis.motion.wheels.rows import motion_signals
-from sensorgraph.diagnosis.motion.wheels.sideways import sideways_rows
+from sensorgraph.diagnosis.motion.wheel_model import WheelModel
+from sensorgraph.diagnosis.motion.wheel_rows import motion_signals
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.effects import EFFECTS
 
@@ -86,18 +85,19 @@ def test_positions_a_little_older_than_headings_are_within_the_tolerance_of_a_cl
 
 def test_rows_across_the_heading_are_what_the_body_slid() -> None:
     plain, slid = (
-        sideways_rows(WheelModel(aligned_rows(signals), signals.wheels, ROBOT))
+        WheelModel(aligned_rows(signals), signals.wheels, ROBOT)
         for signals in (
             motion_signals(run) for run in (make_run(24), moved_aside(make_run(24), sliding_outward))
         )
     )
-    period = 0.1
-    expected = -0.1 * slid.distance * slid.turn / period
-    error = (slid.y - plain.y) - expected
+    rows, wheels, period = slid.rows, slid.wheels, 0.1
+    expected = rows.masked(-0.1 * (rows.D_along @ wheels.distance) * (rows.D_yaw @ wheels.turn) / period)
+    moved = (slid.y - plain.y)[2 * rows.n :]
+    error = moved - expected
     assert np.sqrt(np.mean(error**2)) < 0.3 * np.sqrt(
         np.mean(expected**2)
     )  # motors lag 0.1 s behind commands
-    assert abs(np.polyfit(expected, slid.y - plain.y, 1)[0] - 1) < 0.05
+    assert abs(np.polyfit(expected, moved, 1)[0] - 1) < 0.05
 
 
 def handed_over(run: Run, turn: float = 0.015) -> Run:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planners.types import Floats
-from sensorgraph.diagnosis.motion.wheels.model import lost_inside
+from sensorgraph.diagnosis.motion.wheel_model import lost_inside
 
 RIM, TRACK = 0.2, 0.4
 

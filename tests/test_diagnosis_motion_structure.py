@@ -142,11 +142,11 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
             (scrubbing, "in tight turns"),
             (slewed, "clock offset that changes"),
             (sliding_at_speed, "depends on speed"),
-            (spinning, "they spin"),
+            (spinning, "depends on speed or turn rate"),
             (bent_by_place, "reference"),
-            (turned_by_iron, "a compass near iron"),
+            (turned_by_iron, "depends on the heading"),
             (losing_air, "loses air"),
-            (loaded_for_a_while, "a temporary change of scale, from"),
+            (loaded_for_a_while, "a scale"),
         ),
     ],
     ids=[
@@ -177,7 +177,7 @@ def test_wheels_that_wear_where_the_robot_was_not_before_are_no_slippery_patch(s
     result = diagnose_odometry(worn_half_way(make_run(seed, duration=80.0), at), ROBOT)
     assert result.effects == () and result.unknown is not None
     moment = re.search(r"changes once, after (\d+) s", result.unknown.statement)
-    assert moment is not None and abs(float(moment[1]) - at) <= 1.0
+    assert moment is not None and abs(float(moment[1]) - at) <= 2.0
 
 
 @pytest.mark.slow

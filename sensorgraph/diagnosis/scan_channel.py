@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.wheels.reference_structure import BENT_REFERENCE
+from sensorgraph.diagnosis.motion.wheel_structure import BENT_REFERENCE
 from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations

@@ -3,33 +3,51 @@
 Each set of effects is a small simulation of the motors (dead time, first-order lag, limited acceleration). It
 is fitted to the motion that the wheels report.
 
-A constant gain from commands to motion beyond the tolerances is structure that no effect explains. The error of the odometry is a bounded tolerance of the model (`GAIN_SIGMA`, `TURN_SIGMA`). A gain
-beyond these bounds belongs to the base, unless wheel errors that the odometry channel has named cause it.
+The error of the odometry is a bounded tolerance of the model (`GAIN_SIGMA`, `TURN_SIGMA`). A constant gain from
+commands to motion beyond these bounds belongs to the base: it is a hypothesis without a name, which frees the bound.
+Ticks of the control loop of the base and jitter of the transport are no effect. Every model that is tested for structure
+contains columns for these, in units of their prior standard deviation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from logs.run import Run
-from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, wheel_increments
-from sensorgraph.diagnosis.motion.motors.model import GAINS, Column, DriveModel
-from sensorgraph.diagnosis.motion.motors.report import drive_result
-from sensorgraph.diagnosis.motion.motors.rows import commands_of, drive_rows
-from sensorgraph.diagnosis.motion.motors.selection import MotorSelection, select, with_structure
+from sensorgraph.diagnosis.engine import selection as engine
+from sensorgraph.diagnosis.motion.increments import (
+    ChannelSkippedError,
+    commands_of,
+    drive_rows,
+    wheel_increments,
+)
+from sensorgraph.diagnosis.motion.motor_model import Column, DriveModel
+from sensorgraph.diagnosis.motion.motor_simulation import AccelerationLimit
+from sensorgraph.diagnosis.motion.motor_structure import drive_families
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
+from sensorgraph.diagnosis.motion.regression import Fit, Term
+from sensorgraph.diagnosis.motion.report import channel_result
+from sensorgraph.diagnosis.motion.selection import MotionChannel, admitted_structure
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, StructureFamily
-from sensorgraph.diagnosis.result import ChannelResult, MotionDifference
+from sensorgraph.diagnosis.motion.structure_test import StructureTest
+from sensorgraph.diagnosis.motion.whitening import Whitener
+from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Rival
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.wheel_base import WHEEL_BASE
-from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
-from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
+from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
+from sensorgraph.effects.dead_time import DEAD_TIME
+from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
+from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
+
+BEAT_TIME = 5.0
+"""[s] over which the control loop of the base and the stamps of the commands keep their phase."""
+MAX_BEATS = 24
+"""Maximum number of pieces of the run with separate delays; in a longer run they are longer."""
+FULL_SPEED_SHARE = 0.9
+"""Share of the robot's limit that commands must reach for a saturation to be observable."""
 
 
 def diagnose_drive(
@@ -57,107 +75,123 @@ def diagnose_drive(
         rows = drive_rows(increments, commands, robot, clock)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="drive", skipped=str(exc))
-    model, selected = _explain(DriveModel(commands, rows, robot, wheels), named_wheels)
-    if selected.terms or selected.structure is not None:
-        ramped, other = _explain(model.with_ramped_set_point(), named_wheels)
-        if other.log_likelihood(ramped) > selected.log_likelihood(model) + EVIDENCE.threshold:
-            model, selected = ramped, other
-    return drive_result(model, selected)
+    model = DriveModel(commands, rows, robot, wheels, named_wheels)
+    fit_noise_with_all_effects(model)
+    channel = MotionChannel(model)
+    terms = engine.select(channel, threshold=EVIDENCE.threshold, most=len(model.terms))
+    fit = add_structure(model, terms, channel.fit)
+    return drive_result(model, terms, fit)
 
 
-def _explain(model: DriveModel, named_wheels: Sequence[Amendment]) -> tuple[DriveModel, MotorSelection]:
-    """Select effects and structure under the acceleration limits of the model, with a separate noise fit.
+def fit_noise_with_all_effects(model: DriveModel) -> None:
+    """Choose where the acceleration is limited, and fit the noise with all effects free.
 
-    Returns the model, with its gains bounded or free, and the selection.
+    A base that ramps the set point must explain the run better by as much as an effect does.
     """
-    model, selected = select_under_any_gain(model)
-    return model, with_constant_gain(model, with_structure(model, selected), named_wheels)
+    effects = [term for term in model.terms if term.effect is not None]
+    found, stated = list[tuple[float, AccelerationLimit, Whitener]](), model.whitener
+    for limit in AccelerationLimit:
+        model.simulation.limit, model.whitener = limit, stated
+        full = model.fit(effects)
+        for _ in range(2):
+            model.fit_noise(full.residual)
+            full = model.fit(effects, full)
+        is_ramped = limit is AccelerationLimit.SET_POINT
+        price = EVIDENCE.threshold + EVIDENCE.price if is_ramped else 0.0
+        found.append((full.log_posterior + model.whitener.log_likelihood - price, limit, model.whitener))
+    _, model.simulation.limit, model.whitener = max(found, key=lambda one: one[0])
 
 
-def select_under_any_gain(model: DriveModel) -> tuple[DriveModel, MotorSelection]:
-    """Select effects with bounded gains; with free gains, if one is at its bound and free gains are more likely.
-
-    At a bound, effects would otherwise explain the remaining gain.
-    """
-    within = select(model)
-    if within.fit.solution.covariance[GAINS, GAINS].all():
-        return model, within
-    free = model.with_any_gain()
-    found = select(free)
-    return (free, found) if _lead(free, found, within) > EVIDENCE.threshold else (model, within)
-
-
-def with_constant_gain(
-    model: DriveModel, selected: MotorSelection, wheels: Iterable[Amendment]
-) -> MotorSelection:
-    """Add a constant gain that is certainly beyond tolerance, both as measured and without the named wheel errors.
-
-    Parameters
-    ----------
-    wheels : Effects that the odometry channel has named.
-    """
-    if not model.has_any_gain or selected.structure is not None:
-        return selected
-    fit, gains = selected.fit, _gains(selected)
-    covariance = fit.regression.clustered_covariance(fit.solution, model.clusters)
-    doubt = 2 * np.sqrt(np.diag(covariance)[list(GAINS)])
-    of_base = _without_wheels(gains, wheels, model.robot.wheels.base)
-    beyond = np.minimum(np.abs(gains), np.abs(of_base)) - doubt > _tolerances(model)
-    if not beyond.any():
-        return selected
-    columns = [column for column, is_beyond in zip(GAINS, beyond, strict=True) if is_beyond]
-    structure = AcceptedStructure(
-        family=StructureFamily(
-            kind="constant gain",
-            columns=fit.columns[:, columns],
-            statement=f"a constant gain: the base {_said(gains, columns)}",
-        ),
-        evidence=_lead(model, selected, selected),
-        threshold=EVIDENCE.threshold,
-        size=model.error_without(fit, fit.columns[:, columns] @ gains[beyond]),
+def add_structure(model: DriveModel, terms: list[Term], here: Fit) -> Fit:
+    """Let structure that no effect explains enter the model, in addition to the effects; return the fit."""
+    has_limit = any(term.effect is SPEED_SATURATION for term in terms)
+    own = here.columns[:, [k for k in range(model.n_own) if has_limit or k != Column.V_MAX]]
+    left = model.rows.masked(here.y - here.simulated)
+    test = StructureTest(model.rows.valid, left, model.fitted_noise, drive_nuisances(model, here))
+    found = admitted_structure(
+        model,
+        test,
+        own,
+        test.best(own, drive_families(model, here)),
+        EVIDENCE.threshold,
+        lambda missing, _: model.error_without(here, missing),
     )
-    return replace(selected, structure=structure)
+    if found is None:
+        return here
+    model.structure = found
+    full = model.fit(terms, here)
+    model.fit_noise(full.residual)
+    channel = MotionChannel(model, terms, full)
+    engine.remove_superfluous(channel, terms)
+    return channel.fit
 
 
-def _said(gains: Floats, columns: Iterable[Column]) -> str:
-    way, turn, aside = gains
-    words = {
-        Column.GAIN_V: f"drives {1 + way:.2f} times the commanded speed",
-        Column.GAIN_OMEGA: f"turns {1 + turn:.2f} times the commanded rate",
-        Column.TURN_PER_DISTANCE: f"turns {np.degrees(aside):+.1f}° per metre driven, in addition to the command",
-    }
-    return " and ".join(words[column] for column in columns)
+def drive_nuisances(model: DriveModel, fit: Fit) -> Floats:
+    """Return the columns (2 n, m) of normal differences between commands and odometry.
 
+        delay_sigma² = control_period² / 12 + transport_jitter²
 
-def _gains(selected: MotorSelection) -> Floats:
-    """Return the gains (3,) of a fit: of distance and turn, less 1, and the turn per distance [rad/m]."""
-    return np.asarray(selected.fit.solution.theta[list(GAINS)])
-
-
-def _tolerances(model: DriveModel) -> Floats:
-    """Return the maximum gains (3,) within the tolerances of a careful setup."""
-    bounded = model.with_any_gain(False)
-    return np.asarray(bounded.prior([], bounded.nominal).reach[list(GAINS)])
-
-
-def _lead(free: DriveModel, found: MotorSelection, within: MotorSelection) -> float:
-    """Return the evidence [nats] for free gains, less the complexity penalty, under the same noise."""
-    held = free.with_any_gain(False).fit(within.terms, within.fit.motors)
-    price = EVIDENCE.price * (len(GAINS) + len(found.terms) - len(within.terms))
-    return found.fit.log_posterior - held.log_posterior - price
-
-
-def _without_wheels(gains: Floats, wheels: Iterable[Amendment], base: float) -> Floats:
-    """Return the gains (3,) that remain after the named wheel errors.
-
-    Parameters
-    ----------
-    base : [m] Wheelbase.
+    The wait for a tick of the base is uniform over one period.
     """
-    named = dict.fromkeys((WHEEL_RADIUS, WHEEL_BASE, WHEEL_RADIUS_DIFF), 0.0)
-    named |= {a.effect: a["s"] for a in wheels if a.effect in named}
-    way, turn, aside = gains
-    radius, wider = 1 + named[WHEEL_RADIUS], 1 + named[WHEEL_BASE]
-    return np.array(
-        [(1 + way) / radius - 1, (1 + turn) * wider / radius - 1, aside - named[WHEEL_RADIUS_DIFF] / base]
+    rows, tolerances = model.rows, model.robot.tolerances
+    sigma = float(np.hypot(tolerances.control_period / np.sqrt(12), tolerances.transport_jitter))
+    n = int(np.clip(np.ptp(rows.end) / BEAT_TIME, 1, MAX_BEATS))
+    piece = np.clip(n * (rows.end - rows.end[0]) / np.ptp(rows.end), 0, n - 1).astype(np.intp)
+    by_delay = fit.columns[:, Column.DELAY] * sigma
+    return rows.masked(np.stack([by_delay * np.tile(piece == k, 2) for k in range(n)], axis=1))
+
+
+# report --------------------------------------------------------------------------------------------------------------
+
+
+def drive_result(model: DriveModel, terms: Sequence[Term], fit: Fit) -> ChannelResult:
+    """Return the result of the drive channel for the selected hypotheses."""
+    rows, limit = model.rows, model.robot.limits.v
+    unseen = {}
+    if model.top_speed < FULL_SPEED_SHARE * limit and all(
+        term.effect is not SPEED_SATURATION for term in terms
+    ):
+        top = f"no command exceeds {model.top_speed:.2f} m/s (limit: {limit:.2f} m/s)"
+        unseen[SPEED_SATURATION.name] = f"{top}; a saturation above that is not observable"
+    return channel_result(
+        model,
+        terms,
+        fit,
+        loop=lambda a: due_to_loop(model.robot, a),
+        usual_rival=lambda a: None if rows.has_reference else late_clock(a),
+        not_observable=unseen,
+        notes={
+            "odometry_from": rows.source,
+            "clock_offset_s": rows.late,
+            "clock_from_reference": rows.has_reference,
+            "gain_v": 1 + float(fit.solution.theta[Column.GAIN_V]),
+            "gain_omega": 1 + float(fit.solution.theta[Column.GAIN_OMEGA]),
+        },
     )
+
+
+def late_clock(a: Amendment) -> Rival | None:
+    """Return the rival of a dead time in a run without reference poses."""
+    if a.effect is not DEAD_TIME:
+        return None
+    return Rival(
+        name=POSE_CLOCK_OFFSET.name,
+        instead_of=DEAD_TIME.name,
+        evidence_nats=a.evidence or 0.0,
+        separates="reference poses, which this run lacks; a late odometry clock looks the same",
+    )
+
+
+def due_to_loop(robot: Robot, a: Amendment) -> float:
+    """Return the part of a delay or a lag [s] that the control loop of the base may cause; 0 for other effects.
+
+    Commands wait for a tick for up to a period. If `delay` contains the mean wait, all commands in phase with the loop
+    exceed it by half a period. If the period is specified and `delay` is too short to contain the mean wait, the excess
+    is a whole period. Waits that are uniform over a specified period smear a step like a lag equal to their standard
+    deviation.
+    """
+    period, is_stated = robot.tolerances.control_period, "tolerances.control_period" in robot.stated
+    if a.effect is DEAD_TIME:
+        return period if is_stated and robot.actuators.delay < period / 2 else period / 2
+    is_lag = a.effect is ACTUATOR_LAG and a["tau"] > 0 and is_stated
+    return period / float(np.sqrt(12)) if is_lag else 0.0

@@ -1,4 +1,4 @@
-"""Motion reported by the wheels: increments of distance and heading between the stamps of the odometry."""
+"""Signals of the motion channels: increments of the wheels, commands, and rows of both."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import numpy as np
 
 from logs.run import Run
 from planners.arena import wrap
+from sensorgraph.diagnosis.motion.regression import Rows
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats
+from sensorgraph.world.robot import Robot
 
 MIN_STAMPS = 20
 """Minimum number of odometry stamps, and of commands, for a comparison."""
@@ -17,6 +20,12 @@ SAME_STAMP = 1e-6
 """[s] maximum difference between two stamps that count as one."""
 MIN_MOTION = 1e-3
 """[m or rad], of twists [m/s or rad/s]: range of a signal, below which it does not move."""
+TOP_QUANTILE = 0.999
+"""Quantile of the commanded speeds that counts as the maximum, so that single odd commands do not matter."""
+SETTLING_TIME = 0.3
+"""[s] after the first command that is not compared, because earlier commands are unknown."""
+MIN_DRIVE_ROWS = 100
+"""Minimum number of rows; with fewer, the channel is skipped."""
 
 
 class ChannelSkippedError(SensorgraphError):
@@ -108,3 +117,112 @@ def require_reference(run: Run) -> None:
         raise ChannelSkippedError(
             f"the poses of this run are its odometry{named}; expected a separate reference for the comparison"
         )
+
+
+def clock_sigma(robot: Robot) -> float:
+    """Return the standard deviation of a clock offset that needs no effect [s]: uniform within the tolerance of a stamp."""
+    return robot.tolerances.stamp / float(np.sqrt(3))
+
+
+# commands -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CommandSignal:
+    """Commands of a run; each acts from its stamp."""
+
+    stamps: Floats
+    """(n,) [s]"""
+    values: Floats
+    """(n, 2) [m/s, rad/s]"""
+
+    @property
+    def top_speed(self) -> float:
+        """Maximum commanded speed [m/s]."""
+        return float(np.quantile(np.abs(self.values[:, 0]), TOP_QUANTILE))
+
+
+def commands_of(run: Run) -> CommandSignal:
+    """Return the commands of a run.
+
+    Raises
+    ------
+    ChannelSkippedError
+        There are too few, or they never change.
+    """
+    n = len(run.commands)
+    good = np.isfinite(run.commands).all(axis=1) if n else np.zeros(0, dtype=np.bool_)
+    stamps, values = run.cmd_stamps[good], run.commands[good]
+    if len(stamps) < MIN_STAMPS:
+        raise ChannelSkippedError(f"this run has {len(stamps)} commands, expected at least {MIN_STAMPS}")
+    if np.ptp(values, axis=0).max() < MIN_MOTION:
+        raise ChannelSkippedError("the commands of this run never change")
+    return CommandSignal(stamps=stamps, values=values)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriveRows(Rows):
+    """Mean rates between two stamps of the odometry, on the clock of the commands."""
+
+    start: Floats
+    """(n,) [s]"""
+    end: Floats
+    """(n,) [s]"""
+    y: Floats
+    """(2 n,) [m/s], then [rad/s]; 0 where not valid."""
+    late: float
+    """[s] correction of the odometry's clock."""
+    clock_sigma: float
+    """[s] standard deviation of the remaining clock offset."""
+    has_reference: bool
+    """Whether the clock offset is known from reference poses."""
+    source: str
+    """Origin of the odometry: `poses` or `twists`."""
+
+    @property
+    def stamps(self) -> Floats:
+        """(n,) [s]"""
+        return self.start
+
+
+def drive_rows(
+    wheels: WheelIncrements, commands: CommandSignal, robot: Robot, clock: tuple[float, float] | None
+) -> DriveRows:
+    """Align the odometry with the clock of the commands.
+
+    Parameters
+    ----------
+    clock : [s] Age of the odometry at its stamps, and its standard error; None if unknown.
+
+    Raises
+    ------
+    ChannelSkippedError
+        Commands and odometry hardly overlap.
+    """
+    sigma = clock_sigma(robot)
+    offset, error = clock if clock is not None else (0.0, 0.0)
+    is_late = abs(offset) > max(2 * sigma, 3 * error)
+    late = offset if is_late else 0.0
+    start, end = wheels.start - late, wheels.end - late
+    stamps = commands.stamps
+    gap = np.interp(end, stamps[1:], np.diff(stamps))
+    valid: Bools = (
+        (start > stamps[0] + SETTLING_TIME)
+        & (end < stamps[-1])
+        & (gap < EVIDENCE.max_gap)
+        & (end - start < EVIDENCE.max_gap)
+    )
+    if int(valid.sum()) < MIN_DRIVE_ROWS:
+        raise ChannelSkippedError(
+            f"commands and odometry overlap in {int(valid.sum())} samples, expected at least {MIN_DRIVE_ROWS}"
+        )
+    return DriveRows(
+        start=start,
+        end=end,
+        valid=valid,
+        y=np.where(np.concatenate([valid, valid]), wheels.rates.T.ravel(), 0.0),
+        late=late,
+        clock_sigma=float(np.hypot(sigma, error if is_late else 0.0)),
+        has_reference=clock is not None,
+        source=wheels.source,
+    )

@@ -10,14 +10,23 @@ and turn; a right one does it with the opposite sign.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from logs.run import Run
-from sensorgraph.diagnosis.motion.increments import ChannelSkippedError
-from sensorgraph.diagnosis.motion.wheels.model import WheelModel
-from sensorgraph.diagnosis.motion.wheels.report import odometry_result
-from sensorgraph.diagnosis.motion.wheels.rows import (
-    AVERAGING_TIME,
+from sensorgraph.diagnosis.engine import selection as engine
+from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError, reference_error
+from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, clock_sigma
+from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
+from sensorgraph.diagnosis.motion.regression import Term
+from sensorgraph.diagnosis.motion.report import TriedEffect, channel_result
+from sensorgraph.diagnosis.motion.selection import MotionChannel, admitted_structure
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.motion.slip_patches import PATCH_PRICE, best_patch, gains_of_discs, refine_patch
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
+from sensorgraph.diagnosis.motion.wheel_model import WheelModel
+from sensorgraph.diagnosis.motion.wheel_rows import (
     MIN_ROWS,
     WINDOW,
     MotionSignals,
@@ -25,27 +34,33 @@ from sensorgraph.diagnosis.motion.wheels.rows import (
     motion_signals,
     rows_at,
 )
-from sensorgraph.diagnosis.motion.wheels.selection import select
-from sensorgraph.diagnosis.motion.wheels.sideways import sideways_structure
-from sensorgraph.diagnosis.result import ChannelResult, Unknown
+from sensorgraph.diagnosis.motion.wheel_structure import odometry_families, reference_jumps
+from sensorgraph.diagnosis.motion.whitening import by_kind
+from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Unknown
+from sensorgraph.effects import Effect
+from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.localization.locate import is_located
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
-MIN_CLOCK_SHIFT = 3e-4
-"""[s] minimum change of the clock offset for which the rows are computed again."""
 MAX_CLOCK = 0.8
 """[s] maximum clock offset of the search."""
 CLOCK_STEP = 0.025
 """[s] step of the search."""
-MIN_CLOCK_OVERLAP = 5.0
-"""[s] minimum overlap for the search; otherwise it starts at a clock offset of 0."""
 MIN_WINDOWS = 10
 """Minimum number of windows for a statement."""
 CERTAIN = 0.8
 """Correlation above which two motions are the same, and below minus which they are opposite."""
 NONE = 0.5
 """Correlation below which two motions are different."""
+STRUCTURE_THRESHOLD = 20.0
+"""[nats] evidence that structure needs if the residual is white; proportionally more otherwise."""
+PATCH_SHARE = 0.1
+"""Share of the evidence of a patch, below which structure only reflects its rim: no patch is a sharp disc."""
+MAX_PATCHES = 3
+"""Maximum number of patches in one run."""
+MIN_DISTANCE = 1.0
+"""[m] minimum path for a slip to be observable."""
 
 
 def diagnose_odometry(
@@ -69,14 +84,20 @@ def diagnose_odometry(
         return ChannelResult(channel="odometry", skipped=str(exc))
     rng = np.random.default_rng(seed)
     model = WheelModel(rows, signals.wheels, robot)
-    late = model.clock_left()
-    moved = rows_at(signals, rows.clock + late) if abs(late) > MIN_CLOCK_SHIFT else None
+    late = clock_left(model)
+    moved = rows_at(signals, rows.clock + late)
     if moved is not None:
         model = WheelModel(moved, signals.wheels, robot)
+    if run.pose_frame == "base_link" and not is_located(run):
+        model.allow_askew()
     terms = select(model, rng, is_reference_straight=is_reference_straight)
-    own_heading = run.pose_frame == "base_link" and not is_located(run)
-    aside = sideways_structure(model, heading_is_of_base=own_heading)
-    return odometry_result(model, terms, aside, signals.notes, rng)
+    return odometry_result(model, terms, signals, rng)
+
+
+def clock_left(model: WheelModel) -> float:
+    """Return the remaining error of the assumed clock offset, with all effects free [s]."""
+    theta = model.fit(model.effects).solution.theta
+    return float(np.clip(theta[model.clock], -CLOCK_STEP, CLOCK_STEP))
 
 
 def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
@@ -87,9 +108,8 @@ def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
     except ChannelSkippedError:
         return None
     model = WheelModel(rows, signals.wheels, robot)
-    fit = model.regression.solve(model.prior(model.layout.terms))
+    fit, clock = model.fit(model.effects).solution, model.clock
     covariance = model.regression.clustered_covariance(fit, model.clusters)
-    clock = model.layout.clock
     return rows.clock + float(fit.theta[clock]), float(np.sqrt(covariance[clock, clock]))
 
 
@@ -119,43 +139,29 @@ def coarse_offset(signals: MotionSignals) -> float:
     solution to the sensor synchronization problem".
     """
     stamps, poses, wheels = signals.stamps, signals.poses, signals.wheels
-    reach, step, half = MAX_CLOCK, CLOCK_STEP, AVERAGING_TIME
-    first, last = max(stamps[0], wheels.start[0]) + reach, min(stamps[-1], wheels.end[-1]) - reach
-    if last - first < MIN_CLOCK_OVERLAP:
+    first, last = max(stamps[0], wheels.start[0]), min(stamps[-1], wheels.end[-1])
+    grid = np.arange(first, last, CLOCK_STEP)
+    margin = round(MAX_CLOCK / CLOCK_STEP)
+    if len(grid) < 4 * margin:  # shorter than the search
         return 0.0
-    grid = np.arange(first - reach, last + reach, step)
-    before, after = (
-        np.stack([np.interp(grid + d, stamps, column) for column in poses.T]) for d in (-half, half)
-    )
-    heading = np.interp(grid, stamps, poses[:, 2])
-    dx, dy, turn = after - before
-    distance = dx * np.cos(heading) + dy * np.sin(heading)
-    ends = np.append(wheels.start, wheels.end[-1])
-    margin = round(reach / step)
-    fit = np.zeros(round(2 * reach / step) + 1)
-    for of_reference, of_wheels in ((turn, wheels.turn), (distance, wheels.distance)):
-        total = np.concatenate([[0.0], np.cumsum(of_wheels)])
-        move = np.interp(grid + half, ends, total) - np.interp(grid - half, ends, total)
-        fit += _fit_by_shift(of_reference, move, margin, len(fit))
+    seen = np.stack([np.interp(grid, stamps, column) for column in poses.T], axis=1)
+    dx, dy, turn = np.gradient(seen, axis=0)[margin:-margin].T
+    heading = seen[margin:-margin, 2]
+    ends, fit = np.append(wheels.start, wheels.end[-1]), np.zeros(2 * margin + 1)
+    along = dx * np.cos(heading) + dy * np.sin(heading)
+    for of_reference, of_wheels in ((turn, wheels.turn), (along, wheels.distance)):
+        power = np.sum((of_reference - of_reference.mean()) ** 2)
+        if power < 1e-12:
+            continue
+        move = np.gradient(np.interp(grid, ends, np.append(0.0, np.cumsum(of_wheels))))
+        shifted = np.lib.stride_tricks.sliding_window_view(move, len(of_reference))
+        fit -= ((of_reference - shifted) ** 2).sum(axis=1) / power  # odometry at t + tau corresponds to t
     k = int(np.argmax(fit))
     if not 0 < k < len(fit) - 1:
         return 0.0
     a, b, c = fit[k - 1 : k + 2]
     bend = a - 2 * b + c
-    return float((k - margin + (0.5 * (a - c) / bend if bend < 0 else 0.0)) * step)
-
-
-def _fit_by_shift(reference: Floats, move: Floats, margin: int, n_shifts: int) -> Floats:
-    """Return minus the squared difference, divided by the power of the reference, for each shift (n_shifts,).
-
-    It is 0 if nothing moves.
-    """
-    inner = reference[margin : len(reference) - margin]
-    power = np.sum((inner - inner.mean()) ** 2)
-    if power < 1e-12:
-        return np.zeros(n_shifts)
-    # the odometry at t + tau corresponds to the reference at t
-    return np.array([-np.sum((inner - move[k : k + len(inner)]) ** 2) / power for k in range(n_shifts)])
+    return float((k - margin + (0.5 * (a - c) / bend if bend < 0 else 0.0)) * CLOCK_STEP)
 
 
 def counts_backwards(signals: MotionSignals) -> str:
@@ -190,3 +196,151 @@ def _correlation(a: Floats, b: Floats) -> float:
     """Return the correlation of two signals about zero; 0 if one of them does not move."""
     size = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / size if size > 0 else 0.0
+
+
+# selection -----------------------------------------------------------------------------------------------------------
+
+
+def select(model: WheelModel, rng: np.random.Generator, *, is_reference_straight: bool = False) -> list[Term]:
+    """Add hypotheses to the model while the evidence suffices, then remove superfluous ones.
+
+    Structure that no effect explains competes with the effects, and replaces patches if it explains more. If the
+    reference is known to be straight, a distorted reference is not tried.
+    """
+    most = len(model.terms) + MAX_PATCHES
+    terms = engine.select(WheelChannel(model, rng), threshold=EVIDENCE.threshold, most=most)
+    add_structure(model, terms, is_reference_straight=is_reference_straight)
+    for i in range(len(model.patches)):
+        if model.patch_term(i) in terms:
+            refine_patch(model, i, terms, rng)
+    engine.remove_superfluous(WheelChannel(model, rng, terms), terms)
+    return terms
+
+
+class WheelChannel(MotionChannel):
+    """Wheel effects and slippery patches, as hypotheses about the odometry."""
+
+    def __init__(self, model: WheelModel, rng: np.random.Generator, terms: Sequence[Term] = ()) -> None:
+        super().__init__(model, terms)
+        self.wheels, self.rng = model, rng
+
+    def best(self, model: Sequence[Term]) -> tuple[Term, float] | None:
+        """Return the best further hypothesis, which may be a patch, and its evidence [nats]."""
+        wheels, other = self.wheels, super().best(model)
+        can_slip = len(wheels.patches) < MAX_PATCHES
+        found = wheels.last_patch = best_patch(wheels, model, self.rng) if can_slip else None
+        if found is None or found[1] < max(EVIDENCE.threshold, -np.inf if other is None else other[1]):
+            return other
+        wheels.patches.append(found[0])
+        return wheels.patch_term(len(wheels.patches) - 1), found[1]
+
+    def added(self, model: Sequence[Term]) -> None:
+        """Refine a patch that has entered, and fit the noise."""
+        wheels = self.wheels
+        if model[-1].effect is WHEEL_SLIP:
+            wheels.fit_noise()  # that of a model without the patch has absorbed a part of it
+            found = best_patch(wheels, model[:-1], self.rng)
+            if found is not None:
+                wheels.patches[-1] = found[0]
+                wheels.whiten()
+            refine_patch(wheels, len(wheels.patches) - 1, model, self.rng)
+        wheels.fit_noise()
+        self.fit, self._fits = wheels.fit(model), {}
+
+
+def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight: bool) -> None:
+    """Let structure that no effect explains enter the model, in addition to the effects or instead of patches."""
+    model.denoise_motion()
+    families = odometry_families(
+        model.rows, model.motion, model.robot.wheels, is_reference_straight=is_reference_straight
+    )
+    limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
+    own = np.delete(model.columns, model.n_own - 1, axis=1)
+    late = clock_sigma(model.robot) * model.columns[:, model.n_own - 1, None]
+    test = StructureTest(model.rows.valid, model.y, LimitedNoiseFitter(limits), late)
+    rest, plain = model.fit(model.effects), own[:, : model.n_own - 1]
+    left = rest.y - rest.explained(range(model.n_own))
+    families += reference_jumps(model.rows, left)
+    beside = [one for one in families if one.kind != "reference jumps" or not model.patches]
+    family, gain = test.best(own, beside)  # a patch at the place of jumps absorbs a part of them
+    least, replaces = 0.0, False
+    if model.patches:
+        other, total = test.best(plain, families)
+        replaces = test.lead(plain, other, own) + PATCH_PRICE * len(model.patches) > gain
+        if replaces:
+            own, family, gain = plain, other, total
+        elif len(model.patches) == 1:
+            fit, rest = model.fit(terms), model.fit([term for term in terms if term.effect is not WHEEL_SLIP])
+            least = PATCH_SHARE * (fit.log_posterior - rest.log_posterior)
+    dispersion = test.dispersion(family, EVIDENCE.cluster, limits[0].period)
+    threshold = max(STRUCTURE_THRESHOLD * dispersion, least)
+
+    def size_of(missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
+        if family.is_of_reference:
+            return reference_error(model.rows.D_yaw @ model.motion.turn, missing[: 2 * model.rows.n])
+        return model.error_without(model.fit(terms), missing)
+
+    found = admitted_structure(model, test, own, (family, gain), threshold, size_of)
+    if replaces and gain >= threshold:
+        model.patches = []
+        terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]
+    model.structure = found
+    model.fit_noise()
+    engine.remove_superfluous(MotionChannel(model, terms), terms)
+
+
+# report --------------------------------------------------------------------------------------------------------------
+
+
+def odometry_result(
+    model: WheelModel, terms: Sequence[Term], signals: MotionSignals, rng: np.random.Generator
+) -> ChannelResult:
+    """Return the result of the odometry channel for the selected hypotheses."""
+    fit = model.fit(terms)
+    slips = any(term.effect is WHEEL_SLIP for term in terms)
+    hides_slip = not slips and float(np.abs(model.wheels.distance).sum()) < MIN_DISTANCE
+
+    def patch_instead(rest: Sequence[Term], term: Term) -> dict[Effect, float]:
+        """Return the evidence of a slippery patch that could replace an effect [nats]."""
+        found = None if term.effect is WHEEL_SLIP else best_patch(model, rest, rng)
+        return {} if found is None else {WHEEL_SLIP: found[1]}
+
+    return channel_result(
+        model,
+        terms,
+        fit,
+        instead=patch_instead,
+        also_tried=[] if slips else tried_patch(model, terms),
+        not_observable={WHEEL_SLIP.name: "the robot drove less than 1 m"} if hides_slip else {},
+        notes={
+            **signals.notes,
+            "clock_offset_s": model.rows.clock + float(fit.solution.theta[model.clock]),
+            "rows": 2 * model.rows.n_valid,
+        },
+        motion=motion_difference(model, terms),
+    )
+
+
+def tried_patch(model: WheelModel, terms: Sequence[Term]) -> list[TriedEffect]:
+    """Return the best slippery patch if one was found."""
+    if model.last_patch is None:
+        return []
+    patch, evidence = model.last_patch
+    _, lost = gains_of_discs(model, patch.disc[None], patch.track, terms)
+    slip = WHEEL_SLIP(s=float(lost[0]), x=patch.x, y=patch.y, r=patch.r).at(xy=(patch.x, patch.y))
+    return [TriedEffect(amendment=slip, evidence=evidence, price=PATCH_PRICE)]
+
+
+def motion_difference(model: WheelModel, terms: Sequence[Term]) -> MotionDifference | None:
+    """Return the motion that patches and structure explain; None without these."""
+    more = range(model.n_own, model.columns.shape[1])
+    if not more:
+        return None
+    rows, dt = (
+        by_kind(model.fit(terms).explained(list(more)), model.rows.n)[:2],
+        np.gradient(model.rows.stamps),
+    )
+    return MotionDifference(
+        stamps=model.rows.stamps,
+        rates=np.stack([np.where(model.rows.valid, x, 0.0) / dt for x in rows], axis=1),
+    )

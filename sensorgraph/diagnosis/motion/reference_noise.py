@@ -54,10 +54,8 @@ class NoiseLimits:
     """[s] between two rows."""
 
 
-def noise_limits(
-    robot: Robot, wheels: WheelIncrements, row_stamps: Floats
-) -> tuple[NoiseLimits, NoiseLimits]:
-    """Return the noise limits of distances and of turns."""
+def noise_limits(robot: Robot, wheels: WheelIncrements, row_stamps: Floats) -> tuple[NoiseLimits, ...]:
+    """Return the noise limits of distances, of turns, and of distances across the heading."""
     step = float(np.median(wheels.end - wheels.start))
     period = float(np.median(np.diff(row_stamps)))
     translation = NoiseLimits(
@@ -70,7 +68,7 @@ def noise_limits(
         wander=max(robot.pose.sigma_yaw, robot.tolerances.pose_yaw),
         period=period,
     )
-    return translation, rotation
+    return translation, rotation, translation
 
 
 def difference_autocovariance(
@@ -139,11 +137,11 @@ def robust_log_likelihood(noise: WhiteningFilter, residual: Floats, valid: Bools
 class LimitedNoiseFitter:
     """Fits noise within limits; each fit starts from the result of the previous one."""
 
-    def __init__(self, limits: tuple[NoiseLimits, NoiseLimits]) -> None:
+    def __init__(self, limits: tuple[NoiseLimits, ...]) -> None:
         self.limits = limits
-        self.starts: list[Floats | None] = [None, None]
+        self.starts: list[Floats | None] = [None] * len(limits)
 
     def __call__(self, kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:
-        """Return the noise of a residual (n,) of translation (kind 0) or rotation (1)."""
+        """Return the noise of a residual (n,) of one kind of rows."""
         noise, self.starts[kind] = fit_limited_noise(residual, valid, self.limits[kind], self.starts[kind])
         return noise

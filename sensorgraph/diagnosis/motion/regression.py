@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,10 +29,23 @@ HELD_OUT_BLOCK = 5.0
 
 @dataclass(frozen=True)
 class Term:
-    """An effect and its column in the regression."""
+    """A hypothesis and its column in the regression: an effect, or a tolerance without a name that is freed."""
 
-    effect: Effect
+    effect: Effect | None
     column: int
+    family: str = ""
+    """Kind of the difference without a name."""
+
+    @property
+    def named(self) -> Effect:
+        """The effect of a hypothesis that has one."""
+        assert self.effect is not None
+        return self.effect
+
+    @property
+    def price(self) -> float:
+        """[nats] complexity penalty."""
+        return EVIDENCE.price * (1 if self.effect is None else len(self.effect.parameters))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,30 +168,56 @@ class Regression:
         return out
 
 
-def held_out_residual(
-    regression: Regression, prior: BoundedPrior, columns: Floats, y: Floats, stamps: Floats
-) -> Floats:
-    """Return the residual (k n,) of rows that were not fitted: every other block of the run, and vice versa.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Model of a run at its optimum: y = simulated + columns theta + residual."""
 
-    Parameters
-    ----------
-    regression : Of the whitened rows.
-    columns, y : (k n, .), (k n,) Rows of k kinds before whitening.
-    stamps : (n,) [s]
-    """
-    block = ((stamps - stamps[0]) // HELD_OUT_BLOCK).astype(np.intp)
-    half, out = np.tile(block % 2, len(y) // len(stamps)), np.zeros(len(y))
-    for side in (0, 1):
-        train = half == side
-        fit = Regression.of(regression.A[train], regression.y[train]).solve(prior)
-        out[~train] = (y - columns @ fit.theta)[~train]
-    return out
+    regression: Regression
+    solution: RegressionFit
+    columns: Floats
+    """(k n, n_columns)"""
+    y: Floats
+    """(k n,) Rows of k kinds before whitening."""
+    simulated: Floats
+    """(k n,)"""
+    motors: Any = None
+    """Parameters of the simulation, if there is one."""
+
+    @property
+    def log_posterior(self) -> float:
+        """[nats]"""
+        return self.solution.log_posterior
+
+    @property
+    def residual(self) -> Floats:
+        """(k n,)"""
+        return np.asarray(self.y - self.simulated - self.columns @ self.solution.theta)
+
+    def explained(self, columns: Sequence[int]) -> Floats:
+        """Return the rows (k n,) that some columns explain."""
+        return np.asarray(self.columns[:, columns] @ self.solution.theta[columns])
+
+    def held_out_residual(self, prior: BoundedPrior, stamps: Floats) -> Floats:
+        """Return the residual (k n,) of rows that were not fitted: every other block of the run, and vice versa.
+
+        Parameters
+        ----------
+        stamps : (n,) [s]
+        """
+        y, regression = self.y - self.simulated, self.regression
+        block = ((stamps - stamps[0]) // HELD_OUT_BLOCK).astype(np.intp)
+        half, out = np.tile(block % 2, len(y) // len(stamps)), np.zeros(len(y))
+        for side in (0, 1):
+            train = half == side
+            fit = Regression.of(regression.A[train], regression.y[train]).solve(prior)
+            out[~train] = (y - self.columns @ fit.theta)[~train]
+        return out
 
 
-def clusters_of(stamps: Floats) -> Ints:
-    """Return the cluster (2 n,) of rows of two kinds at stamps (n,) [s], within which errors may be correlated."""
+def clusters_of(stamps: Floats, n_kinds: int) -> Ints:
+    """Return the cluster (n_kinds n,) of rows at stamps (n,) [s], within which errors may be correlated."""
     block = ((stamps - stamps[0]) / EVIDENCE.cluster).astype(np.intp)
-    return np.tile(block, 2)
+    return np.tile(block, n_kinds)
 
 
 def ridge_solution(A: Floats, y: Floats) -> Floats:

@@ -1,14 +1,9 @@
-"""Report of a motion channel: named effects with sizes, rivals, gap, unobservable effects, and entries of the ledger.
-
-The channels of wheels and motors fit their models differently. What they found has one form (`AcceptedEffect`,
-`TriedEffect`, `TestedStructure`), from which `channel_result` makes the result.
-"""
+"""Report of a motion channel: named effects with sizes, rivals, gap, unobservable effects, and entries of the ledger."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr
@@ -25,9 +20,15 @@ from sensorgraph.diagnosis.engine.ledger import (
 from sensorgraph.diagnosis.ledger import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.families import FAMILIES_OF
+from sensorgraph.diagnosis.motion.regression import Fit, Term
+from sensorgraph.diagnosis.motion.selection import MotionModel
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
-from sensorgraph.diagnosis.motion.whitening import Whitener
+from sensorgraph.diagnosis.motion.structure_test import (
+    AcceptedStructure,
+    ScreenedFamily,
+    StructureFamily,
+    TestedStructure,
+)
 from sensorgraph.diagnosis.result import (
     BOTH_SIDES,
     ChannelResult,
@@ -44,6 +45,10 @@ from sensorgraph.types import Floats
 
 ABSORBED = Objection("absorbed_by_unknown", "a difference that no effect explains absorbs it")
 """Why an effect next to structure is not named."""
+Alternatives = Callable[[Sequence[Term], Term], Mapping[Effect, float]]
+"""Returns the evidence of further effects that could replace an effect, given the other hypotheses."""
+EVEN_PART = 0.5
+"""Share of the contribution of a whole-run effect, above which structure takes its name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +56,8 @@ class TriedEffect:
     """An effect that is not in the model, at its most likely size."""
 
     amendment: Amendment
-    """With its evidence [nats] in addition to the model."""
+    evidence: float
+    """[nats] in addition to the model, less the price."""
     price: float
     """[nats] complexity penalty."""
     variance: float = 0.0
@@ -60,120 +66,176 @@ class TriedEffect:
     @property
     def entry(self) -> Entry:
         """Its entry of the ledger."""
-        a = self.amendment
-        facts = Facts(has_name=True, evidence=a.evidence, threshold=EVIDENCE.threshold)
-        return effect_entry(a, facts, price=self.price)
+        facts = Facts(has_name=True, evidence=self.evidence, threshold=EVIDENCE.threshold)
+        return effect_entry(replace(self.amendment, evidence=self.evidence), facts, price=self.price)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AcceptedEffect:
     """An effect of the model."""
 
-    sized: Amendment
-    """With size, standard error and evidence [nats]."""
-    price: float
-    """[nats] complexity penalty."""
-    alternatives: Mapping[Effect, float]
-    """Evidence [nats] of each effect that could replace it."""
-    error: SimulationError
-    """Of a simulation without it."""
-    is_material: bool
-    is_absorbed: bool = False
+    amendment: Amendment
+    entry: Entry
+    """Of the ledger."""
+    rival: Rival | None
+    is_absorbed: bool
     """Whether structure that no effect explains may be the cause of all of it."""
-    due_to_loop: float = 0.0
-    """[s] part of its size that the control loop of the base may cause."""
-    fit_error: float = 0.0
-    """[s] standard error of the size by the fit alone, for that part."""
-    late_clock: Rival | None = None
-    """Its rival where no alternative would be named instead."""
 
-    @cached_property
-    def amendment(self) -> Amendment:
-        """The effect with its probability, against its alternatives and no effect, whose evidence is 0.
+
+def _accepted(
+    model: MotionModel,
+    terms: Sequence[Term],
+    fit: Fit,
+    term: Term,
+    error: float,
+    *,
+    instead: Alternatives,
+    loop: Callable[[Amendment], float],
+    usual_rival: Callable[[Amendment], Rival | None],
+) -> AcceptedEffect:
+    """Return an effect of the model, with its probability against its alternatives and no effect, whose evidence is 0.
 
         p = exp(evidence / temperature) / sum over candidates of exp(evidence_i / temperature)
-        """
-        values = np.array([self.sized.evidence, *self.alternatives.values(), 0.0]) / EVIDENCE.temperature
-        share = np.exp(values - values.max())
-        return replace(self.sized, probability=float(share[0] / share.sum()))
 
-    @property
-    def rival(self) -> Rival | None:
-        """The alternative with the most evidence, if it would be named instead."""
-        effect, evidence = self.sized.effect, self.alternatives
-        best = max(evidence, key=lambda other: evidence[other], default=None)
-        if best is None or evidence[best] < EVIDENCE.threshold:
-            return self.late_clock
-        advice = effect.rivals.get(best.name) or best.rivals.get(effect.name) or effect.varies
-        return Rival(name=best.name, instead_of=effect.name, evidence_nats=evidence[best], separates=advice)
-
-    @cached_property
-    def entry(self) -> Entry:
-        """Its entry of the ledger, with the probability that its size exceeds what the loop of the base may cause.
-
-        P = Phi((|size| - loop) / standard error)
-        """
-        a, loop = self.amendment, self.due_to_loop
-        entry = accepted_entry(a, EVIDENCE.threshold, self.price, self.error)
-        facts = replace(entry.facts, is_material=self.is_material)
-        if not (self.is_material and loop):
-            return replace(entry, facts=facts)
-        (size,) = a.parameters.values()
-        chance = float(ndtr((abs(size) - loop) / max(self.fit_error, 1e-12)))
-        return replace(
-            entry,
-            facts=replace(facts, material_probability=chance, required_probability=SURELY),
-            remark=f"the control loop of the base may cause {1000 * loop:.0f} ms of it",
-        )
+    Parameters
+    ----------
+    error : Standard error of its coefficient.
+    """
+    rest_terms = [other for other in terms if other != term]
+    rest = model.fit(rest_terms, fit)
+    evidence = fit.log_posterior - rest.log_posterior - term.price
+    alternatives = {
+        other.effect: model.fit([*rest_terms, other], fit).log_posterior - rest.log_posterior - other.price
+        for other in model.terms
+        if other not in terms and other.effect is not None
+    } | dict(instead(rest_terms, term))
+    values = np.array([evidence, *alternatives.values(), 0.0]) / EVIDENCE.temperature
+    share = np.exp(values - values.max())
+    sized = model.sized(term, fit, error)
+    a = replace(sized, evidence=evidence, probability=float(share[0] / share.sum()))
+    missing = fit.simulated - rest.simulated + fit.explained([term.column])
+    return AcceptedEffect(
+        amendment=a,
+        entry=_judged_entry(a, term.price, model.error_without(fit, missing), loop(a), error),
+        rival=_rival(a, alternatives) or usual_rival(a),
+        is_absorbed=a.location is None and _takes(model, fit, missing),
+    )
 
 
-def exceeds_sizes(a: Amendment) -> bool:
-    """Tell whether an effect exceeds its materiality."""
-    return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+def _rival(a: Amendment, alternatives: Mapping[Effect, float]) -> Rival | None:
+    """Return the alternative with the most evidence [nats], if it would be named instead."""
+    best = max(alternatives, key=lambda other: alternatives[other], default=None)
+    if best is None or alternatives[best] < EVIDENCE.threshold:
+        return None
+    advice = a.effect.rivals.get(best.name) or best.rivals.get(a.name) or a.effect.varies
+    return Rival(name=best.name, instead_of=a.name, evidence_nats=alternatives[best], separates=advice)
+
+
+def _judged_entry(a: Amendment, price: float, size: SimulationError, loop: float, error: float) -> Entry:
+    """Return the entry of an accepted effect, with the probability that its size exceeds what the loop of the base may cause.
+
+    P = Phi((|size| - loop) / standard error)
+    """
+    is_material = all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+    entry = accepted_entry(a, EVIDENCE.threshold, price, size)
+    facts = replace(entry.facts, is_material=is_material)
+    if not (is_material and loop):
+        return replace(entry, facts=facts)
+    (value,) = a.parameters.values()
+    chance = float(ndtr((abs(value) - loop) / max(error, 1e-12)))
+    return replace(
+        entry,
+        facts=replace(facts, material_probability=chance, required_probability=SURELY),
+        remark=f"the control loop of the base may cause {1000 * loop:.0f} ms of it",
+    )
 
 
 def channel_result(
-    channel: str,
+    model: MotionModel,
+    terms: Sequence[Term],
+    fit: Fit,
     *,
-    accepted: Sequence[AcceptedEffect],
-    tried: Iterable[TriedEffect],
-    structures: Iterable[AcceptedStructure],
-    tested: Sequence[TestedStructure],
-    gap: Gap,
+    instead: Alternatives = lambda rest, term: {},
+    also_tried: Sequence[TriedEffect] = (),
+    loop: Callable[[Amendment], float] = lambda a: 0.0,
+    usual_rival: Callable[[Amendment], Rival | None] = lambda a: None,
     not_observable: Mapping[str, str],
     notes: Mapping[str, object],
     motion: MotionDifference | None = None,
 ) -> ChannelResult:
-    """Return the result of a channel.
+    """Return the result of a channel for the selected hypotheses and their fit.
 
     Parameters
     ----------
-    structures : Structure that matters to a user; that with the most evidence is reported.
-    tested : Tests for structure.
+    instead : Returns the evidence of further effects that could replace an effect, given the other hypotheses.
+    loop : Returns the part of a size [s] that the control loop of the base may cause.
+    usual_rival : Returns the rival of an effect where no alternative would be named instead.
     not_observable : Effects that the run could not have shown, with the reason, for other reasons than variance.
     """
-    order, tried = sorted(accepted, key=lambda one: -(one.sized.evidence or 0.0)), list(tried)
+    errors = np.sqrt(np.diag(fit.regression.clustered_covariance(fit.solution, model.clusters)))
+    accepted = [
+        _accepted(
+            model, terms, fit, term, float(errors[term.column]),
+            instead=instead, loop=loop, usual_rival=usual_rival,
+        )
+        for term in terms
+        if term.effect is not None
+    ]  # fmt: skip
+    tried = [
+        *(_tried(model, terms, fit, term) for term in model.terms if term not in terms and term.effect),
+        *also_tried,
+    ]
+    order = sorted(accepted, key=lambda one: -(one.amendment.evidence or 0.0))
     kept = [one for one in order if not one.is_absorbed]
     named = [one for one in kept if one.entry.verdict is Verdict.NAMED]
+    gap = _gap(model, terms, fit)
+    structures = [*_freed(model, terms, fit), *([] if model.structure is None else [model.structure])]
     return ChannelResult(
-        channel=channel,
+        channel=model.channel,
         effects=tuple(one.amendment for one in named),
         within_tolerance=tuple(one.amendment for one in kept if one not in named),
         withdrawn=tuple(
             Withdrawn(amendment=one.amendment, objection=ABSORBED) for one in order if one.is_absorbed
         ),
-        unknown=_unknown(channel, tested, structures, gap.n_rays),
+        unknown=_unknown(model.channel, structures, gap.n_rays),
         rivals=tuple(rival for one in named if (rival := one.rival) is not None),
         gap=gap,
         not_observable={**_unseen_effects(tried), **not_observable},
         considered=(
             *(one.entry for one in order),
             *(one.entry for one in tried),
-            *_structure_entries(channel, tested),
+            *_structure_entries(model.channel, model.tested),
         ),
         notes=notes,
         motion=motion,
     )
+
+
+def _tried(model: MotionModel, terms: Sequence[Term], fit: Fit, term: Term) -> TriedEffect:
+    """Return an effect that is not in the model."""
+    more = [*terms, term]
+    with_it = model.fit(more, fit)
+    error = float(np.sqrt(max(float(with_it.solution.covariance[term.column, term.column]), 0.0)))
+    return TriedEffect(
+        amendment=model.sized(term, with_it, error),
+        evidence=with_it.log_posterior - fit.log_posterior - term.price,
+        price=term.price,
+        variance=float(fit.regression.solve(model.prior(more, fit)).covariance[term.column, term.column]),
+    )
+
+
+def _takes(model: MotionModel, fit: Fit, missing: Floats) -> bool:
+    """Tell whether structure absorbs a whole-run effect, because its contribution is at least half as large.
+
+    The effect may be the even part of another cause. For example, a floor that takes a share of left turns only is
+    equivalent to half a wheelbase error and half a difference between left and right.
+    """
+    if model.structure is None:
+        return False
+    n = fit.columns.shape[1]
+    structure = fit.explained(range(n - model.structure.family.columns.shape[1], n))
+    own, other = (float(np.linalg.norm(model.whitener(rows))) for rows in (missing, structure))
+    return other > EVEN_PART * own
 
 
 def _unseen_effects(tried: Iterable[TriedEffect]) -> dict[str, str]:
@@ -193,21 +255,51 @@ def _unseen_effects(tried: Iterable[TriedEffect]) -> dict[str, str]:
     return out
 
 
-def fit_quality(whitener: Whitener, residual: Floats, rates: Iterable[Floats], base: float) -> FitQuality:
-    """Return the quality of a residual (2 n,): RMS speed of body and wheels, and log-likelihood [nats].
+def _gap(model: MotionModel, terms: Sequence[Term], fit: Fit) -> Gap:
+    """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa."""
+    rows, k = model.rows, fit.columns.shape[1]
+    n = 2 * rows.n_valid
+    stamps = rows.stamps
+    after = fit.held_out_residual(model.prior(terms, fit), stamps)
 
-    Parameters
-    ----------
-    rates : (k,), (k,) [m/s, rad/s] The residual as speeds and turn rates.
-    base : [m] Wheelbase.
-    """
-    v, omega = rates
-    nats, rms = whitener.nats_and_rms(residual)
-    rmse = float(np.sqrt(np.mean(v**2 + (base / 2 * omega) ** 2)))
-    return FitQuality(rmse_m=rmse, normalised=rms, nats_per_ray=nats)
+    def quality(residual: Floats) -> FitQuality:
+        use = rows.masked(residual)
+        v, omega = model.rates_of(use)
+        nats, rms = model.whitener.first(2).nats_and_rms(use[: 2 * rows.n])
+        speed = np.sqrt(np.mean(v**2 + (model.robot.wheels.base / 2 * omega) ** 2))
+        return FitQuality(rmse_m=float(speed), normalised=rms, nats_per_ray=nats)
+
+    return Gap(
+        before=quality(model.nominal_residual),
+        after=quality(after),
+        noise_floor=quality(fit.residual * np.sqrt(n / max(n - k, 1))),
+        n_rays=n,
+    )
 
 
 # structure -----------------------------------------------------------------------------------------------------------
+
+
+def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[AcceptedStructure]:
+    """Return the tolerances beyond their bounds as one difference without a name, if there are any."""
+    freed = [term for term in terms if term.effect is None]
+    if not freed:
+        return []
+    rest = model.fit([term for term in terms if term.effect is not None], fit)
+    columns = [term.column for term in freed]
+    price = sum(term.price for term in freed)
+    family = StructureFamily(
+        kind=freed[0].family,
+        columns=fit.columns[:, columns],
+        statement=model.words_of({column: float(fit.solution.theta[column]) for column in columns}),
+    )
+    evidence = fit.log_posterior - rest.log_posterior - price
+    size = model.error_without(fit, fit.simulated - rest.simulated + fit.explained(columns))
+    found = AcceptedStructure(family=family, evidence=evidence, threshold=EVIDENCE.threshold, size=size)
+    screened = ScreenedFamily(family=family, evidence=evidence, price=price)
+    families = {family.kind: screened}
+    model.tested.append(TestedStructure(families=families, threshold=EVIDENCE.threshold, best=found))
+    return [found]
 
 
 def _structure_entries(channel: str, tests: Iterable[TestedStructure]) -> Iterator[Entry]:
@@ -246,9 +338,7 @@ def _structure_entries(channel: str, tests: Iterable[TestedStructure]) -> Iterat
                 )
 
 
-def _unknown(
-    channel: str, tests: Sequence[TestedStructure], structures: Iterable[AcceptedStructure], n_rows: int
-) -> Unknown | None:
+def _unknown(channel: str, structures: Iterable[AcceptedStructure], n_rows: int) -> Unknown | None:
     """Describe the structure with the most evidence as a difference that no effect explains; None without any.
 
     Parameters

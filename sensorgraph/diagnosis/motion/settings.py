@@ -43,8 +43,6 @@ class EvidenceSettings:
     """[m] distortion of the reference positions over the place, above which it matters to a user."""
     n_pieces: int = 6
     """Number of pieces of the run in which scales, gains or delays may differ."""
-    n_jumps: int = 15
-    """Number of moments that are tried first for a single change."""
     scale_sigma: float = 0.1
     """Prior standard deviation of a coefficient of structure, unless its family says otherwise: of a scale, a gain, an
     angle [rad], a speed [m/s], a turn rate [rad/s], a clock offset [s], or a jump [m, rad]."""

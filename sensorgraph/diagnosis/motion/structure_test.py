@@ -11,7 +11,8 @@ few and many columns need the same evidence. Noise and columns are fitted in tur
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,9 +41,8 @@ class StructureFamily:
     choice_price: float = 0.0
     """[nats] penalty for the choice among several families of its kind."""
     least_change: float = 0.0
-    """Difference between its coefficients that matters; 0: the error of a simulation without it decides."""
-    moment: float = float("nan")
-    """[s] time of the change, for families of a single change."""
+    """Change of its coefficients, as twice their standard deviation, that matters; 0: the error of a simulation without it
+    decides."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,31 +142,26 @@ class StructureTest:
         here = max(here, self.evidence(own))  # under the noise that was fitted with the family
         return best.family, max(found - here, best.evidence)
 
-    def ranking(self, own: Floats, candidates: Sequence[StructureFamily]) -> list[StructureFamily]:
-        """Return the most likely family of each kind, most likely first; families that explain nothing are omitted."""
-        self.evidence(own)
-        found: dict[str, StructureFamily] = {}
-        for one in sorted(self._screened(own, candidates), key=lambda one: -one.evidence):
-            if one.evidence > MIN_GAIN:
-                found.setdefault(one.family.kind, one.family)
-        return list(found.values())
+    def rivals(self, family: StructureFamily) -> list[str]:
+        """Return the statements of the two most likely families of other kinds, of all comparisons."""
+        others = [one for kind, one in self.tested.items() if kind != family.kind and one.evidence > MIN_GAIN]
+        return [one.family.statement for one in sorted(others, key=lambda one: -one.evidence)][:2]
 
-    def explained(self, own: Floats, families: Sequence[StructureFamily]) -> Floats:
-        """Return the difference of the fitted rows (n_kinds n,) between the models with and without families.
+    def explained(self, own: Floats, family: StructureFamily) -> Floats:
+        """Return the difference of the fitted rows (n_kinds n,) between the models with and without a family.
 
         All rows have the same weight. A large difference in a few rows is an outlier for the evidence, but it
-        matters to a user.
+        matters to a user. A nuisance would absorb a part of it.
         """
-        self.evidence(own, families[0])
+        self.evidence(own, family)
         whitener = Whitener.plain(self.whitener.filters, self.valid)
-        columns = np.concatenate([family.columns for family in families], axis=1)
-        sigma = np.concatenate([np.full(family.columns.shape[1], family.sigma) for family in families])
-        joint = replace(families[0], columns=columns * sigma, sigma=1.0)
-        with_them, without = (self._fit_columns(whitener, own, family)[0] for family in (joint, None))
-        return np.asarray(without - with_them)
+        plain = copy(self)
+        plain.nuisances = self.nuisances[:, :0]
+        with_it, without = (plain._fit_columns(whitener, own, one)[0] for one in (family, None))
+        return np.asarray(without - with_it)
 
-    def dispersion(self, span: float, period: float) -> float:
-        """Return the dispersion of the last residual over blocks of `span` [s]; at least 1.
+    def dispersion(self, family: StructureFamily, span: float, period: float) -> float:
+        """Return the dispersion of the last residual over blocks of `span` [s], in the kinds of rows of a family; at least 1.
 
             dispersion = sum over blocks of (sum of white)² / sum of white²
 
@@ -175,16 +170,20 @@ class StructureTest:
         limit = EVIDENCE.huber_limit
         block = np.arange(self.n) // max(round(span / period), 1)
         sums, squares = 0.0, 0.0
-        for noise, part in zip(self.whitener.filters, by_kind(self.residual, self.n), strict=True):
+        kinds = zip(
+            self.whitener.filters,
+            by_kind(self.residual, self.n),
+            by_kind(family.columns, self.n),
+            strict=True,
+        )
+        for noise, part, columns in kinds:
+            if not columns.any():
+                continue
             white = np.where(self.valid, noise(part), 0.0)
             limited = np.clip(white, -limit, limit)
             sums += float(np.square(np.bincount(block, limited)).sum())
             squares += float(np.square(limited).sum())
         return max(1.0, sums / max(squares, 1e-12))
-
-    def gain(self, own: Floats, family: StructureFamily) -> float:
-        """Return the evidence of one family in addition to columns (n_kinds n, k) [nats]."""
-        return self.evidence(own, family) - self.evidence(own)
 
     def lead(self, own: Floats, family: StructureFamily, more: Floats) -> float:
         """Return the evidence [nats] for columns `own` with a family, against `more` columns."""

@@ -179,6 +179,11 @@ class Whitener:
                 b += Z[:, :-1].T @ Z[:, -1]
         return G, b
 
+    def first(self, k: int) -> Whitener:
+        """Return the whitener of the first k kinds of rows."""
+        n = len(self.valid)
+        return Whitener(filters=self.filters[:k], valid=self.valid, weights=self.weights[: k * n])
+
     @property
     def valid_rows(self) -> Bools:
         """(n_kinds n,)"""
@@ -206,11 +211,6 @@ class Whitener:
 def by_kind(rows: Floats, n: int) -> list[Floats]:
     """Return rows (n_kinds n, ...) split by kind, (n, ...) each; views."""
     return [rows[first : first + n] for first in range(0, len(rows), n)]
-
-
-def both_kinds(rows: Floats, n: int) -> tuple[Floats, Floats]:
-    """Return rows (2 n, ...) of translation and of rotation."""
-    return rows[:n], rows[n:]
 
 
 @kernel

@@ -18,8 +18,8 @@ from logs.files import atomic_file
 from logs.html_table import html_table
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.comparison import ABSORBED
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.report import data
 from sensorgraph.diagnosis.report.arena_figure import arena_picture, marks, next_run_picture, wall_sections
 from sensorgraph.diagnosis.report.comparison import ComparedScans, compare

@@ -26,7 +26,7 @@ from sensorgraph.diagnosis.motion.calibration.comparison import (
 )
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion, with_moving_odometry
-from sensorgraph.diagnosis.motion.families import ODOMETRY_FAMILIES
+from sensorgraph.diagnosis.motion.wheel_structure import ODOMETRY_FAMILIES
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.latency import LATENCY
 from sensorgraph.effects.mount_xy import MOUNT_XY

@@ -42,6 +42,9 @@ NUISANCES = ("delay", "drift_x", "drift_y")
 """[s] delay of a scan after the odometry at its stamp; [m/m] drift with the floor, in map."""
 N_ALL = len(PARAMETERS) + len(NUISANCES)
 MOUNT_X, YAW = 3, 5
+PRIOR_ERRORS = np.array([0.3, 0.3, 0.1, 0.3, 0.3, 0.3, 0.3, 0.02, 0.02])
+"""(9,) prior standard deviations of PARAMETERS and NUISANCES: of the scales, the heading bias [rad/m], the mount [m, rad],
+the delay [s], and the drift with the floor (slope, nap of a carpet)."""
 DIFFERENCES = np.array([1e-4] * 6 + [1e-2] + [1e-4] * 2)
 """Steps of the numerical derivatives."""
 BLOCKS = 8
@@ -54,10 +57,6 @@ ITERATIONS = 8
 """Gauss-Newton steps."""
 SETTLED = 0.02
 """Change of every parameter, in standard errors, below which these steps end."""
-HEADING_BIAS_SD = 0.1
-"""[rad/m] prior standard deviation of the heading bias."""
-DELAY_SD = 0.3
-"""[s] prior standard deviation of the delay between scans and odometry."""
 LEAST_BLOCK = 5
 """Minimum number of windows in a block. Shorter runs have fewer blocks, at least four, and larger
 standard errors."""
@@ -73,12 +72,6 @@ STAMP_ERRORS = (0.003, 0.003, 0.002)
 """[m, m, rad] error of a pose that the scans do not show: wrong stamps, above all. It cancels from step to step."""
 DERIVATIVES = 3
 """Number of initial steps in which the derivatives are updated."""
-SCALE_SD = 0.3
-"""Prior standard deviation of distance scale and turn scale."""
-MOUNT_SD = 0.3
-"""[m, rad] prior standard deviation of the laser mount around its specified pose."""
-DRIFT_SD = 0.02
-"""[m/m] prior standard deviation of the drift with the floor (slope, nap of a carpet), in each direction."""
 SIDEWAYS_SD = 0.0026
 """[rad] variation of the direction of travel between floors, beyond the scatter within a run. It adds to
 the standard error of the mount's yaw. The eighths of intel and aces show 0.15°, those of fr079 less."""
@@ -142,7 +135,7 @@ class DrivingCalibration:
 def calibrate(motion: LaserMotion) -> DrivingCalibration:
     """Estimate wheels and mount from one run; a short one has large standard errors."""
     before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
-    prior = np.diag(prior_errors() ** -2.0)
+    prior = np.diag(PRIOR_ERRORS**-2.0)
     if len(motion.first) < WINDOW * LEAST_WINDOWS:
         values, stderr, rows = _from_few_steps(motion, before, prior)
     else:
@@ -160,11 +153,6 @@ def calibrate(motion: LaserMotion) -> DrivingCalibration:
         duration_s=float(np.ptp(motion.stamps)),
         rows=rows,
     )
-
-
-def prior_errors() -> Floats:
-    """Return the prior standard deviations (9,) of PARAMETERS and NUISANCES."""
-    return np.array([SCALE_SD] * 2 + [HEADING_BIAS_SD] + [MOUNT_SD] * 3 + [DELAY_SD] + [DRIFT_SD] * 2)
 
 
 def hidden_parameters(stderr: Floats, way: float, turn: float) -> dict[str, str]:
@@ -188,7 +176,7 @@ def hidden_parameters(stderr: Floats, way: float, turn: float) -> dict[str, str]
         names, "the drive does not separate it from the others; drive straight and turn to both sides"
     )
     other["delay"] = "the speed hardly changes during the drive"
-    limits = HIDDEN_SHARE * prior_errors()[: len(names)]
+    limits = HIDDEN_SHARE * PRIOR_ERRORS[: len(names)]
     is_hidden = stderr[: len(names)] > limits
     return {name: lacks[name] or other[name] for name, hides in zip(names, is_hidden, strict=True) if hides}
 
@@ -209,8 +197,8 @@ def _from_few_steps(motion: LaserMotion, before: Floats, prior: Floats) -> tuple
         information=np.zeros((0, N_ALL, N_ALL)), scores=nothing, prior=prior, from_s=np.zeros(0)
     )
     if not n:
-        return before, prior_errors(), rows
-    theta, inverse = before.copy(), np.diag(prior_errors() ** 2)
+        return before, PRIOR_ERRORS.copy(), rows
+    theta, inverse = before.copy(), np.diag(PRIOR_ERRORS**2)
     whitening, factors = np.linalg.inv(np.linalg.cholesky(step_covariances(motion))), np.ones(3)
     for _ in range(SHORT_ITERATIONS):
         residuals = np.einsum("cmn,nc->mc", whitening, _residuals(motion, theta))

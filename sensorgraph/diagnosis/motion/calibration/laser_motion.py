@@ -216,7 +216,7 @@ def step_scatter(found: Refined, steps: Floats, mount: Floats) -> Floats:
         first=first, second=first + 1, relative=steps, information=np.tile(np.eye(3), (n, 1, 1))
     )
     rows = _at_laser(edge_system(found.poses, chain)[0].toarray().reshape(n, 3, -1), steps, mount)
-    return np.einsum("nca,ab,ncb->nc", rows, inverse, rows, optimize=True)
+    return np.asarray(np.einsum("nca,ab,ncb->nc", rows, inverse, rows, optimize=True))
 
 
 def _at_laser(rows: Floats, steps: Floats, mount: Floats) -> Floats:

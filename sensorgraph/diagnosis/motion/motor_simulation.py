@@ -16,8 +16,7 @@ from enum import Enum
 import numpy as np
 
 from planners.kernel import kernel
-from sensorgraph.diagnosis.motion.increments import SAME_STAMP
-from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
+from sensorgraph.diagnosis.motion.increments import SAME_STAMP, CommandSignal, DriveRows
 from sensorgraph.types import Floats, Ints
 
 STEP = 0.01
@@ -86,28 +85,24 @@ class MotorSimulation:
         return self._mean_rates(travelled, later)
 
     def rates_of(
-        self, motors: MotorParameters, commands: Floats, *, limit: AccelerationLimit | None = None
+        self,
+        motors: MotorParameters,
+        commands: Floats | None = None,
+        *,
+        limit: AccelerationLimit | None = None,
+        share: float = 1.0,
     ) -> Floats:
-        """Return the rates for other commands (n_commands, 2) at the same stamps.
+        """Return the rates for other commands (n_commands, 2) at the same stamps, or for other limits.
 
         Parameters
         ----------
         limit : Where the acceleration is limited; default: as in this simulation.
+        share : Of the acceleration limits of the robot.
         """
         other = copy(self)
-        if limit is not None:
-            other.limit = limit
-        return self._mean_rates(other._travelled(motors, self._held(motors.delay, commands)), 0.0)
-
-    def rates_with_slew(self, motors: MotorParameters, share: float) -> Floats:
-        """Return the rates of a base whose acceleration is limited to a share of the robot's limits.
-
-        The limit acts on the set point if it does so here, otherwise on the motors.
-        """
-        slower = copy(self)
-        is_ramped = self.limit is AccelerationLimit.SET_POINT
-        slower.slew, slower.limit = share * self.slew, self.limit if is_ramped else AccelerationLimit.MOTORS
-        return self._mean_rates(slower._travelled(motors, self._held_commands(motors.delay)), 0.0)
+        other.limit, other.slew = limit or self.limit, share * self.slew
+        held = self._held(motors.delay, self.commands.values if commands is None else commands)
+        return self._mean_rates(other._travelled(motors, held), 0.0)
 
     def _mean_rates(self, travelled: Floats, later: float) -> Floats:
         start, end = self.rows.start - later, self.rows.end - later

@@ -7,46 +7,38 @@ from collections.abc import Sequence
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
-from sensorgraph.diagnosis.motion.motors.model import Column, DriveFit, DriveModel
-from sensorgraph.diagnosis.motion.motors.simulation import AccelerationLimit
+from sensorgraph.diagnosis.motion.motor_model import Column, DriveModel
+from sensorgraph.diagnosis.motion.motor_simulation import AccelerationLimit
+from sensorgraph.diagnosis.motion.regression import Fit
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily
-from sensorgraph.diagnosis.motion.whitening import both_kinds
+from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
-from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.types import Bools, Floats, Ints
 
-WHAT_CHANGES = {"lag": (Column.LAG, ACTUATOR_LAG), "delay": (Column.DELAY, DEAD_TIME)}
-"""Motor parameters that a load, a warm gear or a restart may change during a run."""
-
-ANSWER = "answer"
-"""Kind of the family of motors whose response is not a single lag."""
-
-
-RAMP = "ramp"
-"""Kind of the families of a base that accelerates more slowly than specified."""
-
-
-LAG_BY_SENSE = "lag by sense"
-"""Kind of the family of motors that speed up and slow down with different lags."""
-
-
-OTHER_MOTORS = (ANSWER, LAG_BY_SENSE, RAMP)
-"""Kinds of the families of motors whose response is not a single lag, although a lag absorbs most of it."""
+DRIVE_FAMILIES = {
+    "time": ("gain_over_time", "a gain of the motors that changes over time"),
+    "lag over time": ("lag_over_time", "a lag of the motors that changes over time"),
+    "coupling": ("gain_in_turns", "a speed that depends on the turn rate, or vice versa"),
+    "answer": ("motors_ring", "a response of the motors that is not a single lag"),
+    "heading": ("speed_by_heading", "a speed that depends on the heading, as on a sloped floor"),
+    "drops": ("speed_losses", "temporary losses of speed despite commands to continue"),
+    "deadband": ("dead_zone", "a dead zone of small commands"),
+    "ramp": ("slow_ramp", "a slower acceleration than specified"),
+    "constant gain": ("constant_gain", "a constant gain of the motors beyond the tolerances"),
+}
+"""Kind -> name in the ledger, and noun phrase."""
 
 N_SIZES = 128
 """Number of sizes of a dead zone that are tried, for driving and for turning."""
-TRIMMED = 0.15
-"""Share of the run at its start and its end, within which no change is tested: too few commands would show it
-(Andrews 1993, section 4)."""
 STOP_TIME = 0.25
 """[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
 ANSWER_LAGS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """[s] delays after the response to a command, at which a second response may follow."""
+LAG_SIGMA = 0.05
+"""[s] prior standard deviation of a lag that changes."""
 ANSWER_SIGMA = 0.3
 """Prior standard deviation of the second response."""
-DELAY_SIGMA = 0.05
-"""[s] prior standard deviation of a delay or a lag that changes."""
 RAMPS = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
 """Shares of the acceleration in robot.yaml that a base may really have."""
 SPEED_CUTS = (0.25, 0.5)
@@ -57,10 +49,9 @@ ASKED_SHARE = 0.15
 """Share of the maximum speed, above which the base is commanded to move."""
 
 
-def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+def drive_families(model: DriveModel, fit: Fit) -> list[StructureFamily]:
     """Return the families of differences that no effect explains, with columns (2 n, k)."""
     rows = model.rows
-    v, omega = both_kinds(fit.simulated, rows.n)
     middle = (rows.start + rows.end) / 2
     share = (middle - middle[rows.valid][0]) / np.ptp(middle[rows.valid])
     n = EVIDENCE.n_pieces
@@ -68,20 +59,11 @@ def drive_families(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     pieces = [piece == k for k in range(1, n)]
     return [
         _gains("time", "a gain that changes over time", model, fit, pieces, pieces),
-        _gains(
-            "direction",
-            "a gain that differs forward and backward, or to the left and to the right",
-            model,
-            fit,
-            [v < 0],
-            [omega < 0],
-        ),
+        _lag_over_time(model, fit, pieces),
         _gains_by_the_other(model, fit),
         _answers(model, fit),
-        _lag_by_sense(model, fit),
         _slopes(model),
         *_drops(model, fit),
-        *_jumps(model, fit, share, middle - rows.start[0]),
         *_deadbands(model, fit),
         *_ramps(model, fit),
     ]
@@ -91,10 +73,9 @@ def _gains(
     kind: str,
     statement: str,
     model: DriveModel,
-    fit: DriveFit,
+    fit: Fit,
     masks: Sequence[Bools],
     turn_masks: Sequence[Bools],
-    choice_price: float = 0.0,
 ) -> StructureFamily:
     """Return the family of gains of the speed in some rows (n,), and of the turn rate in others."""
     ways, turns = _way_and_turn(fit.simulated)
@@ -103,7 +84,22 @@ def _gains(
         kind=kind,
         columns=model.rows.masked(np.stack(columns, axis=1)),
         statement=statement,
-        choice_price=choice_price,
+    )
+
+
+def _lag_over_time(model: DriveModel, fit: Fit, pieces: Sequence[Bools]) -> StructureFamily:
+    """Return the family of a lag that a load or a warm gear changes during the run.
+
+    Waits for the control loop that spread evenly over a period smear a step as a lag of less than half a period.
+    """
+    columns = [fit.columns[:, Column.LAG] * np.tile(piece, 2) for piece in pieces]
+    (size,) = ACTUATOR_LAG.sizes.values()
+    return StructureFamily(
+        kind="lag over time",
+        columns=model.rows.masked(np.stack(columns, axis=1)),
+        sigma=LAG_SIGMA,
+        least_change=max(size, model.robot.tolerances.control_period / 2),
+        statement="a lag of the motors that changes over time",
     )
 
 
@@ -113,9 +109,9 @@ def _way_and_turn(rates: Floats) -> tuple[Floats, Floats]:
     return np.where(of_way, rates, 0.0), np.where(of_way, 0.0, rates)
 
 
-def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
+def _gains_by_the_other(model: DriveModel, fit: Fit) -> StructureFamily:
     """Return the family of a base whose speed depends on its turn rate, or vice versa: the wheels share power."""
-    v, omega = (np.abs(x) for x in both_kinds(fit.simulated, model.rows.n))
+    v, omega = (np.abs(x) for x in by_kind(fit.simulated, model.rows.n))
     top_v, top_omega = max(float(v.max()), 1e-3), max(float(omega.max()), 1e-3)
     turning = [omega > q * top_omega for q in RATE_CUTS]
     driving = [v > q * top_v for q in SPEED_CUTS]
@@ -123,36 +119,25 @@ def _gains_by_the_other(model: DriveModel, fit: DriveFit) -> StructureFamily:
     return _gains("coupling", statement, model, fit, turning, driving)
 
 
-def _answers(model: DriveModel, fit: DriveFit) -> StructureFamily:
+def _answers(model: DriveModel, fit: Fit) -> StructureFamily:
     """Return the family of motors whose response is not a single lag: they ring, overshoot or creep."""
     rates = model.simulation.rates
     late = [rates(fit.motors, later=lag) - fit.simulated for lag in ANSWER_LAGS]
     columns = [column for one in late for column in _way_and_turn(one)]
     return StructureFamily(
-        kind=ANSWER,
+        kind="answer",
         columns=model.rows.masked(np.stack(columns, axis=1)),
         sigma=ANSWER_SIGMA,
         statement="a response to commands that is not a single lag: the base rings, overshoots or creeps",
     )
 
 
-def _lag_by_sense(model: DriveModel, fit: DriveFit) -> StructureFamily:
-    """Return the family of motors that speed up and slow down with different lags: a load, a brake, a worm gear."""
-    faster = [np.gradient(np.abs(x)) > 0 for x in both_kinds(fit.simulated, model.rows.n)]
-    return StructureFamily(
-        kind=LAG_BY_SENSE,
-        columns=(fit.columns[:, Column.LAG] * np.concatenate(faster))[:, None],
-        sigma=DELAY_SIGMA,
-        statement="a lag that differs between speeding up and slowing down",
-    )
-
-
 def _slopes(model: DriveModel) -> StructureFamily:
     """Return the family of speeds that depend on the heading, as on a sloped floor."""
     rows = model.rows
-    _, omega = both_kinds(rows.y, rows.n)
+    _, omega = by_kind(rows.y, rows.n)
     heading, nothing = np.cumsum(omega * (rows.end - rows.start)), np.zeros(rows.n)
-    moves = np.abs(both_kinds(model.simulation.rates(model.nominal), rows.n)[0]) > MIN_MOTION
+    moves = np.abs(by_kind(model.simulation.rates(model.nominal), rows.n)[0]) > MIN_MOTION
     ways = (np.cos(heading), np.sin(heading))
     columns = [
         np.concatenate([way * some, nothing]) for way in ways for some in (1.0, moves)
@@ -164,9 +149,9 @@ def _slopes(model: DriveModel) -> StructureFamily:
     )
 
 
-def _asked_and_moved(model: DriveModel, fit: DriveFit) -> tuple[Floats, Floats, Floats]:
+def _asked_and_moved(model: DriveModel, fit: Fit) -> tuple[Floats, Floats, Floats]:
     """Return simulated and measured rates (2, n) [m/s, rad/s], and the largest simulated ones (2, 1)."""
-    asked, moved = (np.stack(both_kinds(x, model.rows.n)) for x in (fit.simulated, model.rows.y))
+    asked, moved = (np.stack(by_kind(x, model.rows.n)) for x in (fit.simulated, model.rows.y))
     return asked, moved, np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
 
 
@@ -174,7 +159,7 @@ def _by_commands(
     kind: str,
     statement: str,
     model: DriveModel,
-    fit: DriveFit,
+    fit: Fit,
     commands: Floats,
     choice_price: float = 0.0,
     limit: AccelerationLimit | None = None,
@@ -202,7 +187,7 @@ def _long_stretches(model: DriveModel, some: Bools) -> Ints:
     return np.asarray(edges[edges[:, 1] - edges[:, 0] >= least])
 
 
-def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+def _drops(model: DriveModel, fit: Fit) -> list[StructureFamily]:
     """Return families of a base that temporarily loses speed although it is commanded to continue.
 
     The speed falls at once, or at the acceleration limit. A loss begins where the base falls short of the
@@ -235,65 +220,27 @@ def _drops(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
     return out
 
 
-def _jumps(model: DriveModel, fit: DriveFit, share: Floats, passed: Floats) -> list[StructureFamily]:
-    """Return families for each moment at which gains, lag or delay may change once.
-
-    Parameters
-    ----------
-    share, passed : (n,) Elapsed part of the run, as a share and in s.
-    """
-    n, out = EVIDENCE.n_jumps, list[StructureFamily]()
-    price = float(np.log(3 * n))
-    for k in range(1, n + 1):
-        if not TRIMMED <= k / (n + 1) <= 1 - TRIMMED:
-            continue
-        later = share > k / (n + 1)
-        when = f"that changes once, {passed[later][0]:.0f} s into the run"
-        out.append(_gains("jump", f"a gain {when}", model, fit, [later], [later], price))
-        for what, (column, _) in WHAT_CHANGES.items():
-            out.append(
-                StructureFamily(
-                    kind=f"jump of the {what}",
-                    columns=(fit.columns[:, column] * np.concatenate([later, later]))[:, None],
-                    sigma=DELAY_SIGMA,
-                    statement=f"a {what} of the motors {when}",
-                    choice_price=price,
-                    least_change=_least_change(model, what),
-                )
-            )
-    return out
-
-
-def _least_change(model: DriveModel, what: str) -> float:
-    """Return the change [s] of a delay, or a lag, during a run that matters: more than waits for the base may cause.
-
-    Commands in phase with the control loop of the base may all wait a period longer than before. Waits that spread
-    evenly over a period smear a step as a lag of less than half a period.
-    """
-    (size,) = WHAT_CHANGES[what][1].sizes.values()
-    period = model.robot.tolerances.control_period
-    return max(size, period if what == "delay" else period / 2)
-
-
-def _ramps(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+def _ramps(model: DriveModel, fit: Fit) -> list[StructureFamily]:
     """Return one family for each slower ramp that a base may apply to commands."""
-    shares = RAMPS
-    out = []
-    for share in shares:
-        columns = _way_and_turn(model.simulation.rates_with_slew(fit.motors, share) - fit.simulated)
+    is_ramped = model.simulation.limit is AccelerationLimit.SET_POINT
+    limit, out = AccelerationLimit.SET_POINT if is_ramped else AccelerationLimit.MOTORS, []
+    for share in RAMPS:
+        columns = _way_and_turn(
+            model.simulation.rates_of(fit.motors, limit=limit, share=share) - fit.simulated
+        )
         out.append(
             StructureFamily(
-                kind=RAMP,
+                kind="ramp",
                 columns=model.rows.masked(np.stack(columns, axis=1)),
                 sigma=1.0,
                 statement=f"a slower change of speed: the base accelerates at about {share:.0%} of the limit in robot.yaml",
-                choice_price=float(np.log(len(shares))),
+                choice_price=float(np.log(len(RAMPS))),
             )
         )
     return out
 
 
-def _deadbands(model: DriveModel, fit: DriveFit) -> list[StructureFamily]:
+def _deadbands(model: DriveModel, fit: Fit) -> list[StructureFamily]:
     """Return the families of motors that ignore small commands to drive, or to turn, with the most likely size.
 
         maximise over size  (cᵀ r)² / cᵀ c,    c = rates(commands without those of a magnitude up to size) - simulated,

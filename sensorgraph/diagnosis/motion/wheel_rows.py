@@ -3,9 +3,8 @@
 Reference poses are averaged over a tenth of a second. Each row compares the distance along the heading and
 the turn between two averages with the corresponding increments of the wheels, at an assumed clock offset.
 
-`MotionSignals` are the reference poses of base_link and the increments of the wheels. `WheelColumns` are the columns
-of the regression: wheel effects, the clock, and the offset of the marker. A row is the motion of the reference minus that of the wheels. The column of a wheel effect is defined by the
-effect (`Diagnostics.wheel_regressor`).
+`MotionSignals` are the reference poses of base_link and the increments of the wheels. A row is the motion of the
+reference minus that of the wheels: along its heading, in yaw, and across its heading.
 """
 
 from __future__ import annotations
@@ -25,17 +24,10 @@ from sensorgraph.diagnosis.motion.increments import (
     require_reference,
     wheel_increments,
 )
-from sensorgraph.diagnosis.motion.regression import Rows, Term
+from sensorgraph.diagnosis.motion.regression import Rows
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.effects import EFFECTS, Effect
-from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
-from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.types import Bools, Floats, Ints
 
-CLOCK_STEP = 0.01
-"""[s] step to either side, for the difference quotient with respect to the clock offset."""
-MIN_POSES = 10
-"""Minimum number of poses during the odometry."""
 FEW_INCREMENTS = 0.995
 """Quantile of the number of increments per row that rows have space for; rows with more are not valid."""
 WINDOW = 1.0
@@ -83,10 +75,13 @@ class OdometryRows(Rows):
     increment_poses: Floats
     """(n_increments, 3) reference pose in the middle of each increment."""
 
+    def of_kinds(self, along: Floats, yaw: Floats, across: Floats | None = None) -> Floats:
+        """Return rows (3 n, ...) of distances, turns and distances across the heading (n, ...); 0 where not valid."""
+        return self.masked(np.concatenate([along, yaw, np.zeros_like(along) if across is None else across]))
+
     def of_wheels(self, distance: Floats, turn: Floats) -> Floats:
-        """Return rows (2 n, ...) of distances and turns of the increments (n_increments, ...); 0 where not valid."""
-        rows = np.concatenate([self.D_along @ distance, self.D_yaw @ turn])
-        return self.masked(rows)
+        """Return rows (3 n, ...) of distances and turns of the increments (n_increments, ...)."""
+        return self.of_kinds(self.D_along @ distance, self.D_yaw @ turn)
 
     def of_sides(self, left: Floats, right: Floats, base: float) -> Floats:
         """Return rows of the distances of the left and the right wheel (n_increments, ...), `base` [m] apart."""
@@ -104,7 +99,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     start, end = wheels.start - clock, wheels.end - clock
     inside = (signals.stamps >= start[0]) & (signals.stamps <= end[-1])
     stamps, poses = signals.stamps[inside], signals.poses[inside]
-    if len(stamps) < MIN_POSES:
+    if len(stamps) < MIN_ROWS:
         return None
     period = float(np.median(np.diff(stamps)))
     m = max(1, round(AVERAGING_TIME / period))
@@ -137,7 +132,7 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
         D_along=_sparse(weights * np.cos(heading[index] - phi[:, None]), index, len(start)),
         D_across=_sparse(weights * np.sin(heading[index] - phi[:, None]), index, len(start)),
         D_yaw=_sparse(weights, index, len(start)),
-        slopes=_slopes(t, wheels, clock, heading, phi),
+        slopes=_slopes(t, wheels, clock),
         increment_poses=np.stack([*increment_poses, heading], axis=1),
     )
 
@@ -199,25 +194,12 @@ def _sparse(weights: Floats, index: Ints, n: int) -> sparse.csr_array:
     )
 
 
-def _slopes(t: Floats, wheels: WheelIncrements, clock: float, heading: Floats, phi: Floats) -> Floats:
-    """Return the derivative of the wheels' motion (n, 2) with respect to the clock, from smoothed increments."""
-    kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
-    distance, turn = (
-        np.convolve(np.pad(x, 2, mode="edge"), kernel, mode="valid") for x in (wheels.distance, wheels.turn)
-    )
-    out = []
-    for late in (-CLOCK_STEP, CLOCK_STEP):
-        D, index, _ = _overlaps(t, wheels.start - clock - late, wheels.end - clock - late)
-        out.append(
-            np.stack(
-                [
-                    ((D * np.cos(heading[index] - phi[:, None])) * distance[index]).sum(axis=1),
-                    (D * turn[index]).sum(axis=1),
-                ],
-                axis=1,
-            )
-        )
-    return np.asarray((out[1] - out[0]) / (2 * CLOCK_STEP))
+def _slopes(t: Floats, wheels: WheelIncrements, clock: float) -> Floats:
+    """Return the derivative of the wheels' motion (n, 2) with respect to the clock: the change of smoothed rates."""
+    window = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
+    rates = [np.convolve(np.pad(rate, 2, mode="edge"), window, mode="valid") for rate in wheels.rates.T]
+    means = [np.interp(t, wheels.middle - clock, rate).mean(axis=1) for rate in rates]
+    return np.stack([np.diff(mean) for mean in means], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -265,59 +247,3 @@ def motion_signals(run: Run) -> MotionSignals:
             f"poses and odometry overlap from {first:.1f} to {last:.1f} s, {last - first:.1f} of {whole:.1f} s; the rest is not used"
         )
     return MotionSignals(stamps=stamps, poses=poses, wheels=wheels, notes=notes)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WheelColumns:
-    """Order of the columns: wheel effects in the order of the library, the clock, the marker; patches follow."""
-
-    regressors: tuple[tuple[Effect, WheelRegressor], ...]
-    """Wheel effects that act everywhere, and their columns."""
-
-    @classmethod
-    def of_library(cls) -> WheelColumns:
-        """Return the columns of the effects in the library."""
-        found = [(effect, effect.diagnostics.wheel_regressor) for effect in EFFECTS.values()]
-        return cls(
-            regressors=tuple((effect, regressor) for effect, regressor in found if regressor is not None)
-        )
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """Effects that act everywhere, the clock last."""
-        effects = [*(effect for effect, _ in self.regressors), POSE_CLOCK_OFFSET]
-        return tuple(Term(effect, k) for k, effect in enumerate(effects))
-
-    @property
-    def clock(self) -> int:
-        """Column of the clock offset."""
-        return len(self.regressors)
-
-    @property
-    def n(self) -> int:
-        """Number of columns before those of patches; the last is that of the marker."""
-        return self.clock + 2
-
-    def evaluate(self, rows: OdometryRows, motion: WheelIncrements, base: float) -> Floats:
-        """Return the columns (2 n_rows, n), distances first, then turns; 0 where not valid.
-
-        Parameters
-        ----------
-        motion : Motion of the wheels; for structure tests, without noise (`fused_motion`).
-        base : [m] Wheelbase.
-        """
-        distance, turn = rows.D_along @ motion.distance, rows.D_yaw @ motion.turn
-        moved = WheelMotion(distance=distance, turn=turn, path=rows.D_yaw @ motion.distance, base=base)
-        columns = [np.concatenate(regressor.column(moved)) for _, regressor in self.regressors]
-        columns.append(rows.slopes.T.ravel())
-        columns.append(
-            np.concatenate([-turn, np.zeros(rows.n)])
-        )  # a marker off the axle swings as the robot turns
-        return rows.masked(np.stack(columns, axis=1))
-
-
-def wheel_rows(rows: OdometryRows, wheels: WheelIncrements) -> Floats:
-    """Return reference minus wheels (2 n,), distances first, then turns; 0 where not valid."""
-    return rows.masked(
-        np.concatenate([rows.along - rows.D_along @ wheels.distance, rows.yaw - rows.D_yaw @ wheels.turn])
-    )

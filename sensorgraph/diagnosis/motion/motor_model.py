@@ -9,43 +9,44 @@ and a clock offset within the accuracy that the reference poses give.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
-from sensorgraph.diagnosis.motion.motors.rows import CommandSignal, DriveRows
-from sensorgraph.diagnosis.motion.motors.simulation import (
-    AccelerationLimit,
+from sensorgraph.diagnosis.motion.increments import CommandSignal, DriveRows
+from sensorgraph.diagnosis.motion.motor_simulation import (
     MotorParameters,
     MotorSimulation,
 )
 from sensorgraph.diagnosis.motion.regression import (
     SHUT_SIGMA,
     BoundedPrior,
+    Fit,
     Regression,
-    RegressionFit,
     Term,
     clusters_of,
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily, TestedStructure
+from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
 from sensorgraph.diagnosis.motion.whitening import (
     Whitener,
     WhiteningFilter,
-    both_kinds,
+    by_kind,
     clipped,
     fit_autoregression,
 )
 from sensorgraph.diagnosis.result import MotionDifference
-from sensorgraph.effects import EFFECTS, Effect
+from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
-from sensorgraph.effects.interfaces import MotorMotion, MotorRegressor
+from sensorgraph.effects.interfaces import MotorMotion
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
+from sensorgraph.effects.wheel_base import WHEEL_BASE
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
@@ -57,13 +58,11 @@ LAG_SIGMA = 0.004
 """[s] tolerance of the time constant."""
 SECOND_LAG_SIGMA = 0.4
 """Prior standard deviation of the share of this lag that is present."""
-MIN_TOP_SPEED = 0.05
-"""[m/s] minimum largest command, for a saturation to be tested."""
 MAX_STEPS = 6
 MAX_STEP = 0.1
 """[s or m/s] maximum step of time constant, dead time and maximum speed."""
 MIN_V_MAX = 0.02
-"""[m/s] lower limit of the maximum speed."""
+"""[m/s] lower limit of the maximum speed, and of the largest command for a saturation to be tested."""
 CONVERGED = 1e-3
 """[s or m/s] step below which the fit has converged."""
 CONTROL_STEP = 0.003
@@ -91,68 +90,32 @@ class Column(IntEnum):
     """Share of a second lag in series, as in every real motor: it changes the shape of a step, not its delay."""
 
 
-GAINS = (Column.GAIN_V, Column.GAIN_OMEGA, Column.TURN_PER_DISTANCE)
-"""Possible errors of the odometry in every motion: gain of the distance, gain of the turn, turn per distance."""
-
-
 SIMULATED_TERMS = (
     Term(ACTUATOR_LAG, Column.LAG),
     Term(DEAD_TIME, Column.DELAY),
     Term(SPEED_SATURATION, Column.V_MAX),
 )
 """Effects that are parameters of the simulated motors."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotorColumns:
-    """Order of the columns: those of `Column`, one for each other motor effect, then structure."""
-
-    regressors: tuple[tuple[Effect, MotorRegressor], ...]
-    """Motor effects with a separate column, in the order of the library."""
-
-    @classmethod
-    def of_library(cls) -> MotorColumns:
-        """Return the columns of the effects in the library."""
-        found = [(effect, effect.diagnostics.motor_regressor) for effect in EFFECTS.values()]
-        return cls(
-            regressors=tuple((effect, regressor) for effect, regressor in found if regressor is not None)
-        )
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """All effects of the motors."""
-        own = (Term(effect, k) for k, (effect, _) in enumerate(self.regressors, start=len(Column)))
-        return (*SIMULATED_TERMS, *own)
-
-    @property
-    def n(self) -> int:
-        """Number of columns before those of structure."""
-        return len(Column) + len(self.regressors)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DriveFit:
-    """Fitted motors for a set of effects, and the linear system at the fit."""
-
-    motors: MotorParameters
-    regression: Regression
-    solution: RegressionFit
-    simulated: Floats
-    """(2 n,)"""
-    columns: Floats
-    """(2 n, n_own + structure)"""
-
-    @property
-    def log_posterior(self) -> float:
-        """[nats]"""
-        return self.solution.log_posterior
+GAIN_TERMS = (
+    Term(None, Column.GAIN_V, "constant gain"),
+    Term(None, Column.GAIN_OMEGA, "constant gain"),
+    Term(None, Column.TURN_PER_DISTANCE, "constant gain"),
+)
+"""Tolerances of the odometry; beyond their bounds, they are constant gains of the base."""
 
 
 class DriveModel:
     """One run's regression of odometry on commands."""
 
+    channel = "drive"
+
     def __init__(
-        self, commands: CommandSignal, rows: DriveRows, robot: Robot, wheels: MotionDifference | None = None
+        self,
+        commands: CommandSignal,
+        rows: DriveRows,
+        robot: Robot,
+        wheels: MotionDifference | None = None,
+        named_wheels: Iterable[Amendment] = (),
     ) -> None:
         """Set up the regression.
 
@@ -160,54 +123,37 @@ class DriveModel:
         ----------
         wheels : Motion that the odometry channel explains by slip or structure; the wheels may have misread
             it.
+        named_wheels : Effects that the odometry channel has named; the base may obey odometry or reference.
         """
         self.rows, self.robot = rows, robot
         self.top_speed = commands.top_speed
         limits = robot.limits
         self.simulation = MotorSimulation(commands, rows, np.array([limits.a, limits.alpha]))
-        self.clusters = clusters_of(rows.start)
-        self.whitener = self.stated_noise()
-        self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
-        self.structure: StructureFamily | None = None
-        self.tested: TestedStructure | None = None
-        """Test for structure, for the ledger."""
-        self.layout = MotorColumns.of_library()
-        self.library_terms = self.layout.terms
-        self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)
-        self.has_any_gain = False
-        """Whether the gains have no bounds."""
-        self.limits: tuple[AccelerationLimit, ...] = (AccelerationLimit.MOTORS, AccelerationLimit.NOWHERE)
-        """Where the acceleration may be limited."""
-
-    def with_ramped_set_point(self) -> DriveModel:
-        """Return a model, with separate noise, of a base that ramps the commands to its motors."""
-        model = self.with_any_gain(False)
-        model.structure, model.limits = None, (AccelerationLimit.SET_POINT,)
-        model.whitener = model.stated_noise()
-        return model
-
-    def stated_noise(self) -> Whitener:
-        """Return white noise as specified in robot.yaml."""
-        sigmas = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)
+        self.clusters = clusters_of(rows.start, 2)
+        sigmas = (robot.wheels.sigma_v, robot.wheels.sigma_omega)
         first, second = (WhiteningFilter.white(FILTER_ORDER, sigma) for sigma in sigmas)
-        return Whitener.plain((first, second), self.rows.valid)
-
-    def with_any_gain(self, has_any: bool = True) -> DriveModel:
-        """Return a copy of the model, with separate noise, whose gains have no bounds, or have bounds again."""
-        model = copy(self)
-        model.simulation, model.has_any_gain = copy(self.simulation), has_any
-        return model
-
-    @property
-    def n_own(self) -> int:
+        self.whitener = Whitener.plain((first, second), rows.valid)
+        self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
+        self.structure: AcceptedStructure | None = None
+        self.tested: list[TestedStructure] = []
+        """Tests for structure, for the ledger."""
+        found = [(effect, effect.diagnostics.motor_regressor) for effect in EFFECTS.values()]
+        self.regressors = [(effect, one) for effect, one in found if one is not None]
+        own = (Term(effect, k) for k, (effect, _) in enumerate(self.regressors, start=len(Column)))
+        terms = (*SIMULATED_TERMS, *own, *GAIN_TERMS)
+        can_saturate = self.top_speed > MIN_V_MAX
+        self.terms = [term for term in terms if term.effect is not SPEED_SATURATION or can_saturate]
+        """Hypotheses that this run could show."""
+        self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)
+        self.n_own = len(Column) + len(self.regressors) + int(self.misread.shape[1])
         """Number of columns before those of structure."""
-        return self.layout.n + int(self.misread.shape[1])
-
-    @property
-    def terms(self) -> list[Term]:
-        """Effects that this run could show."""
-        can_saturate = self.top_speed > MIN_TOP_SPEED
-        return [term for term in self.library_terms if term.effect is not SPEED_SATURATION or can_saturate]
+        named = {a.effect: a["s"] for a in named_wheels if "s" in a.parameters}
+        radius, base, diff = (named.get(one, 0.0) for one in (WHEEL_RADIUS, WHEEL_BASE, WHEEL_RADIUS_DIFF))
+        self.gain_sigmas = (
+            float(np.hypot(GAIN_SIGMA, radius)),
+            float(np.hypot(GAIN_SIGMA, abs(radius) + abs(base))),
+            float(np.hypot(TURN_SIGMA, diff)) / robot.wheels.base,
+        )
 
     def linearised(self, motors: MotorParameters) -> tuple[Floats, Floats]:
         """Return the simulated rows (2 n,) and the columns (2 n, n_own + structure)."""
@@ -216,7 +162,7 @@ class DriveModel:
         step = QUOTIENT
         second = _second_lag(motors)
         in_series = replace(motors, tau=motors.tau - second, second=second)
-        v, omega = both_kinds(base, self.rows.n)
+        v, omega = by_kind(base, self.rows.n)
         nothing = np.zeros(self.rows.n)
         by_v_max = np.zeros(2 * self.rows.n)
         if np.isfinite(motors.v_max):
@@ -232,58 +178,51 @@ class DriveModel:
             Column.SECOND_LAG: rates(in_series) - base,
         }
         motion = MotorMotion(v=v, omega=omega, duration=self.rows.end - self.rows.start)
-        own = [
-            self.rows.masked(np.concatenate(regressor.column(motion)))
-            for _, regressor in self.layout.regressors
-        ]
+        own = [self.rows.masked(np.concatenate(regressor.column(motion))) for _, regressor in self.regressors]
         A = np.stack([*(columns[column] for column in Column), *own], axis=1)
         A = np.concatenate([A, self.misread], axis=1)
         if self.structure is not None:
-            A = np.concatenate([A, self.structure.columns], axis=1)
+            A = np.concatenate([A, self.structure.family.columns], axis=1)
         return base, A
 
-    def prior(self, terms: Sequence[Term], motors: MotorParameters) -> BoundedPrior:
-        """Return the prior of the columns, as steps from `motors`."""
-        base = self.robot.wheels.base
-        sigma = np.array(
-            [
-                LAG_SIGMA,
-                self.rows.clock_sigma,
-                GAIN_SIGMA,
-                GAIN_SIGMA,
-                TURN_SIGMA / base,
-                SHUT_SIGMA,
-                SECOND_LAG_SIGMA,
-                *(regressor.tolerance for _, regressor in self.layout.regressors),
-            ]
-        )
-        n_more = 0 if self.structure is None else self.structure.columns.shape[1]
-        sigma = np.concatenate([sigma, np.ones(self.misread.shape[1] + n_more)])
+    def prior(self, terms: Sequence[Term], fit: Fit) -> BoundedPrior:
+        """Return the prior of the columns, as steps from the motors of a fit."""
+        return self._prior(terms, fit.motors)
+
+    def _prior(self, terms: Sequence[Term], motors: MotorParameters) -> BoundedPrior:
+        sigma = [LAG_SIGMA, self.rows.clock_sigma, *self.gain_sigmas, SHUT_SIGMA, SECOND_LAG_SIGMA]
+        sigma += [regressor.tolerance for _, regressor in self.regressors]
+        bounded = len(sigma)
+        sigma += [1.0] * int(self.misread.shape[1])
+        if self.structure is not None:
+            sigma += [1.0] * self.structure.family.columns.shape[1]
         mean = np.zeros(len(sigma))
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
-        if self.has_any_gain:
-            sigma[list(GAINS)] = EVIDENCE.scale_sigma / np.array([1.0, 1.0, base])
-        prior = BoundedPrior.of(sigma, mean, EVIDENCE.max_tolerances)
-        if self.has_any_gain:
-            prior.reach[list(GAINS)] = np.inf
-        return prior.freed([term.column for term in terms]).unbounded_from(self.layout.n)
+        prior = BoundedPrior.of(np.array(sigma), mean, EVIDENCE.max_tolerances)
+        return prior.freed([term.column for term in terms]).unbounded_from(bounded)
 
-    def fit(self, terms: Sequence[Term], start: MotorParameters | None = None) -> DriveFit:
-        """Return the bounded optimum of a set of effects, by Gauss-Newton steps."""
-        motors = start or self.nominal
+    def fit(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
+        """Return the bounded optimum of a set of hypotheses, by Gauss-Newton steps."""
+        terms = [*terms]
+        motors: MotorParameters = self.nominal if start is None else start.motors
         has_limit = any(term.effect is SPEED_SATURATION for term in terms)
         if has_limit and not np.isfinite(motors.v_max):
             motors = replace(motors, v_max=self._first_v_max())
         if not has_limit:
             motors = replace(motors, v_max=float("inf"))
-        best: DriveFit | None = None
+        best: Fit | None = None
         for _ in range(MAX_STEPS):
             base, A = self.linearised(motors)
             regression = Regression.of(self.whitener(A), self.whitener(self.rows.y - base))
-            solution = regression.solve(self.prior(terms, motors))
-            here = DriveFit(
-                motors=motors, regression=regression, solution=solution, simulated=base, columns=A
+            solution = regression.solve(self._prior(terms, motors))
+            here = Fit(
+                regression=regression,
+                solution=solution,
+                columns=A,
+                y=self.rows.y,
+                simulated=base,
+                motors=motors,
             )
             steps = solution.theta[[Column.LAG, Column.DELAY, Column.V_MAX]]
             is_small = bool((np.abs(steps) < CONVERGED).all())
@@ -302,38 +241,37 @@ class DriveModel:
 
     def _first_v_max(self) -> float:
         """Return the start value of the maximum speed: the highest measured one, at most the largest command."""
-        v, _ = both_kinds(self.rows.y, self.rows.n)
+        v, _ = by_kind(self.rows.y, self.rows.n)
         fastest = min(float(np.abs(v[self.rows.valid]).max()), self.top_speed)
         return max(fastest, MIN_V_MAX)
 
-    def size_of(self, term: Term, fit: DriveFit) -> float:
-        """Return the parameter of an effect in a fit."""
-        motors, nominal = fit.motors, self.nominal
+    def sized(self, term: Term, fit: Fit, error: float) -> Amendment:
+        """Return an effect with its size and standard error, from the standard error of its coefficient.
+
+        The time constant of robot.yaml may contain a second lag in series, which bends the start of a step.
+        Any share of it, from none to all, is equally likely; the RMS error is the second lag over sqrt 3.
+        """
+        motors, nominal, blur = fit.motors, self.nominal, 0.0
         simulated: dict[int, float] = {
             Column.LAG: motors.tau - nominal.tau,
             Column.DELAY: motors.delay - nominal.delay,
             Column.V_MAX: motors.v_max,
         }
-        return float(simulated.get(term.column, 0.0) + fit.solution.theta[term.column])
-
-    def blur_of(self, term: Term, fit: DriveFit) -> float:
-        """Return the uncertainty [unit of the parameter] of an effect that more data does not reduce.
-
-        The time constant of robot.yaml may contain a second lag in series, which bends the start of a step.
-        Any share of it, from none to all, is equally likely; the RMS error is the second lag over sqrt 3.
-        """
         if term.effect is DEAD_TIME:
-            return CONTROL_STEP
-        if term.effect is not ACTUATOR_LAG:
-            return 0.0
-        second = abs(float(fit.solution.theta[Column.SECOND_LAG])) * _second_lag(fit.motors)
-        return second / float(np.sqrt(3))
+            blur = CONTROL_STEP
+        elif term.effect is ACTUATOR_LAG:
+            share = abs(float(fit.solution.theta[Column.SECOND_LAG]))
+            blur = share * _second_lag(motors) / float(np.sqrt(3))
+        key = term.named.parameters[0].name
+        value = float(simulated.get(term.column, 0.0) + fit.solution.theta[term.column])
+        return replace(term.named(**{key: value}), stderr={key: float(np.hypot(error, blur))})
 
     def fit_noise(self, residual: Floats) -> None:
         """Fit the noise to a residual (2 n,), and whiten with it afterwards."""
+        residual = self.rows.masked(residual)
         first, second = (
             self.fitted_noise(k, part, self.rows.valid)
-            for k, part in enumerate(both_kinds(residual, self.rows.n))
+            for k, part in enumerate(by_kind(residual, self.rows.n))
         )
         self.whitener = Whitener.robust((first, second), self.rows.valid, residual, EVIDENCE.huber_limit)
 
@@ -353,17 +291,36 @@ class DriveModel:
         found = fit_autoregression(cut, valid, FILTER_ORDER)
         return replace(found, sigma=max(found.sigma, 1e-6))
 
-    def error_without(self, fit: DriveFit, missing: Floats) -> SimulationError:
+    def error_without(self, fit: Fit, missing: Floats) -> SimulationError:
         """Return the error of a simulation that lacks rates (2 n,) [m/s, rad/s] of a fit."""
         dt = self.rows.end - self.rows.start
-        distance, turn = both_kinds(fit.simulated, self.rows.n)
+        distance, turn = by_kind(fit.simulated, self.rows.n)
         return simulation_error(
             distance * dt, turn * dt, missing * np.tile(dt, 2), dt, self.robot.wheels.base
         )
 
-    def residual(self, fit: DriveFit) -> Floats:
-        """Return the residual (2 n,) of a fit."""
-        return self.rows.masked(self.rows.y - fit.simulated - fit.columns @ fit.solution.theta)
+    def words_of(self, freed: Mapping[int, float]) -> str:
+        """Return the statement of gains beyond their bounds, of speed and turn rate, and of a turn per distance [rad/m]."""
+        words = {
+            Column.GAIN_V: "drives {:.2f} times the commanded speed",
+            Column.GAIN_OMEGA: "turns {:.2f} times the commanded rate",
+            Column.TURN_PER_DISTANCE: "turns {:+.1f}° per metre driven, in addition to the command",
+        }
+        values = {
+            Column(k): np.degrees(x) if k == Column.TURN_PER_DISTANCE else 1 + x for k, x in freed.items()
+        }
+        said = [words[column].format(values[column]) for column in words if column in values]
+        return f"a constant gain: the base {' and '.join(said)}"
+
+    @property
+    def nominal_residual(self) -> Floats:
+        """(2 n,) with the motors of robot.yaml."""
+        return np.asarray(self.rows.y - self.simulation.rates(self.nominal))
+
+    def rates_of(self, residual: Floats) -> tuple[Floats, Floats]:
+        """Return speeds and turn rates [m/s, rad/s] of a residual (2 n,)."""
+        v, omega = by_kind(residual, self.rows.n)
+        return v[self.rows.valid], omega[self.rows.valid]
 
 
 def _second_lag(motors: MotorParameters) -> float:

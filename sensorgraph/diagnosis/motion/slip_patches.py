@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.wheels.model import RADIUS_RANGE, SlipPatch, WheelModel
+from sensorgraph.diagnosis.motion.wheel_model import SlipPatch, WheelModel
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
@@ -32,6 +32,8 @@ TAILS = 3
 """Degrees of freedom of the proposals: heavy tails, so that no weight is unbounded."""
 LEAST_EFFECTIVE = 20
 """Minimum number of increments that move, and of effective samples from which a proposal is estimated."""
+RADIUS_RANGE = (0.1, 2.5)
+"""[m] smallest and largest radius of a patch."""
 RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
 """[m] radii that are tried."""
 MIN_INFORMATION = 400.0
@@ -90,24 +92,28 @@ def gains_of_discs(
 
     The free effects are projected out of the information.
     """
-    regression = model.regression
-    fit = regression.solve(model.prior(terms))
-    residual = regression.y - regression.A @ fit.theta
+    regression, two = model.regression, 2 * model.rows.n  # rows across the heading show no slip
+    fit, whitener = regression.solve(model.prior(terms)), model.whitener.first(2)
+    residual = (regression.y - regression.A @ fit.theta)[:two]
     free = np.diag(fit.covariance) > 0
     C = fit.covariance[np.ix_(free, free)]
     score, total, information = (np.zeros(len(discs)) for _ in range(3))
     at_a_time = max(1, MAX_VALUES // len(residual))
     for first in range(0, len(discs), at_a_time):  # a long run has hundreds of thousands of rows
         some = slice(first, first + at_a_time)
-        Z = model.whitener(model.slip_columns(discs[some], track))
+        Z = whitener(model.slip_columns(discs[some], track))
         score[some] = residual @ Z
-        cross = regression.A[:, free].T @ Z
+        cross = regression.A[:two, free].T @ Z
         total[some] = np.einsum("ij,ij->j", Z, Z)
         information[some] = total[some] - np.einsum("ij,ij->j", cross, C @ cross)
     information = np.maximum(information, 1e-9 + 1e-6 * total)
     lost = np.clip(score / information, 0.0, MAX_SLIP)
     gains = lost * score - 0.5 * lost**2 * information
     gains[information < MIN_INFORMATION] = 0.0
+    for i, patch in enumerate(model.patches):  # the same floor does not slip twice
+        if model.patch_term(i) in terms:
+            apart = np.hypot(discs[:, 0] - patch.x, discs[:, 1] - patch.y)
+            gains[apart < np.minimum(discs[:, 2], patch.r)] = 0.0
     return gains, lost
 
 

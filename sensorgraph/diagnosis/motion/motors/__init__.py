@@ -1,1 +1,0 @@
-"""Commands against odometry: lag, dead time and saturation of the motors."""

@@ -1,0 +1,101 @@
+"""Select the hypotheses of a motion channel by evidence: effects, and differences without a name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError, sure_share
+from sensorgraph.diagnosis.motion.motor_model import DriveModel
+from sensorgraph.diagnosis.motion.regression import Fit, Term
+from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.motion.structure_test import (
+    AcceptedStructure,
+    StructureFamily,
+    StructureTest,
+    TestedStructure,
+)
+from sensorgraph.diagnosis.motion.wheel_model import WheelModel
+from sensorgraph.types import Floats
+
+MotionModel = WheelModel | DriveModel
+"""Regression of one run, of wheels or of motors."""
+
+
+class MotionChannel:
+    """Hypotheses of a model, for the selection of the engine; `fit` is that of the present model."""
+
+    def __init__(self, model: MotionModel, terms: Sequence[Term] = (), start: Fit | None = None) -> None:
+        self.model, self.fit = model, model.fit(terms, start)
+        self._fits: dict[frozenset[Term], Fit] = {}
+
+    def best(self, model: Sequence[Term]) -> tuple[Term, float] | None:
+        """Return the best further hypothesis and its evidence [nats]."""
+        here = self.fit.log_posterior
+        gains = {
+            term: self._fit([*model, term]).log_posterior - here - term.price
+            for term in self.model.terms
+            if term not in model
+        }
+        return max(gains.items(), key=lambda one: one[1], default=None)
+
+    def added(self, model: Sequence[Term]) -> None:
+        """Fit a changed model from the present optimum."""
+        self.fit = self._fit(model)
+        self._fits = {}
+
+    removed = added
+
+    def _fit(self, model: Sequence[Term]) -> Fit:
+        key = frozenset(model)
+        if key not in self._fits:
+            self._fits[key] = self.model.fit(model, self.fit)
+        return self._fits[key]
+
+    def evidence(self, model: Sequence[Term], hypothesis: Term) -> float:
+        """Return the evidence [nats] for a hypothesis in addition to the others."""
+        rest = [term for term in model if term != hypothesis]
+        return self.fit.log_posterior - self._fit(rest).log_posterior - hypothesis.price
+
+    def needed(self, model: Sequence[Term], hypothesis: Term) -> float:
+        """Return the evidence [nats] that a hypothesis needs."""
+        return EVIDENCE.threshold
+
+
+def admitted_structure(
+    model: MotionModel,
+    test: StructureTest,
+    own: Floats,
+    found: tuple[StructureFamily, float],
+    threshold: float,
+    size_of: Callable[[Floats, StructureFamily], SimulationError | ReferenceError],
+) -> AcceptedStructure | None:
+    """Return the best family if its evidence suffices and its size matters to a user; the ledger keeps the test.
+
+    Parameters
+    ----------
+    own : (k n, .) Columns of the model without structure.
+    found : The best family, and its evidence [nats].
+    threshold : [nats]
+    size_of : Returns the error without rows (k n,) that the family explains.
+    """
+    family, gain = found
+    if gain < threshold:
+        model.tested.append(TestedStructure(families=dict(test.tested), threshold=threshold))
+        return None
+    missing = test.explained(own, family)
+    size = size_of(missing, family)
+    is_material = size.is_material(model.robot.limits.v, gain)
+    if family.least_change:
+        rms = np.std(missing) / max(float(np.std(family.columns.sum(axis=1))), 1e-12)
+        is_material = bool(2 * sure_share(gain) * rms >= family.least_change)
+    accepted = AcceptedStructure(
+        family=family, evidence=gain, threshold=threshold, size=size, rivals=test.rivals(family)
+    )
+    model.tested.append(
+        TestedStructure(
+            families=dict(test.tested), threshold=threshold, best=accepted, is_material=is_material
+        )
+    )
+    return accepted if is_material else None
