@@ -273,9 +273,8 @@ def test_wheels_that_misread_at_speed_are_no_saturation() -> None:
     misread = with_speeds(run, np.where(np.abs(v) > 0.3, 0.85 * v, v))
     wheels = diagnose_odometry(misread, ROBOT)
     assert wheels.unknown is not None and wheels.motion is not None
-    assert diagnose_drive(
-        misread, ROBOT, use_clock=False
-    ).effects  # it looks like one, with nothing known of wheels
+    alone = diagnose_drive(misread, ROBOT, use_clock=False)  # it looks like one, with nothing known of wheels
+    assert alone.effects or alone.withdrawn
     _, drive = diagnose_motion(misread, ROBOT, (), 0)
     assert drive.effects == () and "speed_saturation" in drive.not_observable
 

@@ -99,7 +99,7 @@ def test_dispersion_is_one_for_white_rows_and_more_where_neighbours_agree(
     test = StructureTest(np.ones(n, dtype=np.bool_), rows.ravel(), lambda *_: plain)
     family = StructureFamily(kind="any", columns=rng.normal(size=(2 * n, 1)), sigma=0.1, statement="")
     test.evidence(np.ones((2 * n, 1)), family)
-    assert low <= test.dispersion(family, 4.0, 0.1) < high
+    assert low <= test.dispersion(4.0, 0.1) < high
 
 
 def test_structure_is_judged_under_the_same_noise_as_what_it_competes_with() -> None:

@@ -142,7 +142,7 @@ def test_a_reference_that_scans_have_seen_straight_is_not_bent() -> None:
             (scrubbing, "in tight turns"),
             (slewed, "clock offset that changes"),
             (sliding_at_speed, "depends on speed"),
-            (spinning, "depends on speed or turn rate"),
+            (spinning, "differ by"),
             (bent_by_place, "reference"),
             (turned_by_iron, "depends on the heading"),
             (losing_air, "loses air"),

@@ -17,6 +17,7 @@ from sensorgraph.diagnosis.finding import Finding, misaligned
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, diagnose_driving
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.naming import (
+    as_one_doubt,
     beside_shown_reference,
     name_motion_effects,
     without_echoes_of_doubted_wheels,
@@ -277,7 +278,7 @@ def diagnose_motion(
             named_wheels=odometry.effects,
         )
         drive = name_motion_effects(without_echoes_of_doubted_wheels(driven, odometry), known)
-    return odometry, drive
+    return as_one_doubt(odometry, drive)
 
 
 def motion_model(robot: Robot, known: Sequence[Amendment]) -> Robot:

@@ -28,10 +28,10 @@ from sensorgraph.diagnosis.motion.motor_simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.motor_structure import drive_families
 from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
 from sensorgraph.diagnosis.motion.regression import Fit, Term
-from sensorgraph.diagnosis.motion.report import channel_result
+from sensorgraph.diagnosis.motion.report import channel_result, exceeds_sizes
 from sensorgraph.diagnosis.motion.selection import MotionChannel, admitted_structure
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureTest
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.whitening import Whitener
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Rival
 from sensorgraph.effects import Amendment
@@ -42,6 +42,10 @@ from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
+TIMING = (ACTUATOR_LAG, DEAD_TIME)
+"""Effects that delay the response of the motors to a command."""
+OTHER_MOTORS = ("answer", "ramp")
+"""Kinds of the families of motors whose response is not a single lag, although a lag absorbs most of it."""
 BEAT_TIME = 5.0
 """[s] over which the control loop of the base and the stamps of the commands keep their phase."""
 MAX_BEATS = 24
@@ -103,27 +107,50 @@ def fit_noise_with_all_effects(model: DriveModel) -> None:
 
 
 def add_structure(model: DriveModel, terms: list[Term], here: Fit) -> Fit:
-    """Let structure that no effect explains enter the model, in addition to the effects; return the fit."""
-    has_limit = any(term.effect is SPEED_SATURATION for term in terms)
-    own = here.columns[:, [k for k in range(model.n_own) if has_limit or k != Column.V_MAX]]
-    left = model.rows.masked(here.y - here.simulated)
-    test = StructureTest(model.rows.valid, left, model.fitted_noise, drive_nuisances(model, here))
+    """Let structure that no effect explains enter the model, beside the effects or in place of lag and dead time.
+
+    A shorter lag and a longer dead time would absorb part of the response of a base that rings. Returns the fit.
+    """
+    fit, left, stands_for_material = here, [*terms], False
+    test, own, families = left_by(model, terms, here)
+    family, gain = test.best(own, families)
+    others = [term for term in terms if term.effect not in TIMING]
+    if gain >= EVIDENCE.threshold and family.kind in OTHER_MOTORS and len(others) < len(terms):
+        plain = model.fit(others)
+        alone, plain_own, families = left_by(model, others, plain)
+        other, more = alone.best(plain_own, [one for one in families if one.kind in OTHER_MOTORS])
+        if alone.evidence(plain_own, other) > test.evidence(own) + EVIDENCE.threshold:
+            fit, left, test, own, family, gain = plain, others, alone, plain_own, other, more
+            gone = [model.sized(term, here, 0.0) for term in terms if term not in others]
+            stands_for_material = any(exceeds_sizes(a) for a in gone)
     found = admitted_structure(
         model,
         test,
         own,
-        test.best(own, drive_families(model, here)),
+        (family, gain),
         EVIDENCE.threshold,
-        lambda missing, _: model.error_without(here, missing),
+        lambda missing, _: model.error_without(fit, missing),
+        stands_for_material=stands_for_material,
     )
     if found is None:
         return here
-    model.structure = found
-    full = model.fit(terms, here)
+    model.structure, terms[:] = found, left
+    full = model.fit(terms, fit)
     model.fit_noise(full.residual)
     channel = MotionChannel(model, terms, full)
     engine.remove_superfluous(channel, terms)
     return channel.fit
+
+
+def left_by(
+    model: DriveModel, terms: Sequence[Term], fit: Fit
+) -> tuple[StructureTest, Floats, list[StructureFamily]]:
+    """Return the test of what a fit leaves, the columns (2 n, k) of the model, and the families."""
+    has_limit = any(term.effect is SPEED_SATURATION for term in terms)
+    own = fit.columns[:, [k for k in range(model.n_own) if has_limit or k != Column.V_MAX]]
+    left = model.rows.masked(fit.y - fit.simulated)
+    test = StructureTest(model.rows.valid, left, model.fitted_noise, drive_nuisances(model, fit))
+    return test, own, drive_families(model, fit)
 
 
 def drive_nuisances(model: DriveModel, fit: Fit) -> Floats:

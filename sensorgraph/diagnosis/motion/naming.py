@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from sensorgraph.diagnosis.engine.ledger import Objection
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.result import ChannelResult, Unknown, without_close_calls
@@ -13,6 +15,7 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.effect import size_ratio
+from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 
 ABSURD = Objection("absurd_wheels", "odometry and reference poses do not belong together")
 """Why effects with sufficient evidence are not named."""
@@ -95,6 +98,40 @@ def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> Channe
 def _unseen(result: ChannelResult, names: Iterable[str], words: str) -> ChannelResult:
     """Return a channel with some effects not observable, for a reason."""
     return replace(result, not_observable={**result.not_observable, **dict.fromkeys(names, words)})
+
+
+def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[ChannelResult, ChannelResult]:
+    """Replace an odometry clock offset and a dead time that cancel by one unknown cause.
+
+    If they cancel, the wheels follow the commands as robot.yaml specifies. One cause then shifts commands and
+    odometry relative to the poses.
+    """
+    clocks = [a for a in odometry.effects if a.effect is POSE_CLOCK_OFFSET]
+    delays = [a for a in drive.effects if a.effect is DEAD_TIME]
+    if not (clocks and delays) or odometry.unknown is not None:
+        return odometry, drive
+    (clock,), (delay,) = clocks, delays
+    error = float(np.hypot(clock.stderr["tau"], delay.stderr["L"]))
+    if abs(clock["tau"] + delay["L"]) > 2 * error:
+        return odometry, drive
+    words = f"poses come {1000 * abs(clock['tau']):.0f} ms {'after' if clock['tau'] < 0 else 'before'} commands and odometry"
+    unknown = Unknown(
+        statement=f"the wheels follow the commands as robot.yaml specifies, but the {words}, which no single effect of the library explains",
+        statistic=clock.evidence or 0.0,
+        threshold=EVIDENCE.threshold,
+        consequence=words,
+        families=(
+            "the clock of the base, which stamps commands and odometry",
+            "wheels that slip while the speed changes",
+            "a filter on the poses",
+        ),
+    )
+    words = "a clock offset and a dead time cancel, so that one unknown cause explains both"
+    why = Objection("weaker_than_unknown", words)
+    return (
+        replace(odometry.without({odometry.effects.index(clock): why}), unknown=unknown),
+        drive.without({drive.effects.index(delay): why}),
+    )
 
 
 def _is_expected(amendment: Amendment, known: Mapping[str, Mapping[str, float]]) -> bool:

@@ -34,7 +34,7 @@ from sensorgraph.diagnosis.motion.wheel_rows import (
     motion_signals,
     rows_at,
 )
-from sensorgraph.diagnosis.motion.wheel_structure import odometry_families, reference_jumps
+from sensorgraph.diagnosis.motion.wheel_structure import odometry_families, reference_jumps, scale_jumps
 from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Unknown
 from sensorgraph.effects import Effect
@@ -262,17 +262,19 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
     left = rest.y - rest.explained(range(model.n_own))
     families += reference_jumps(model.rows, left)
     beside = [one for one in families if one.kind != "reference jumps" or not model.patches]
-    family, gain = test.best(own, beside)  # a patch at the place of jumps absorbs a part of them
+    family, gain = best_structure(
+        model, test, own, beside
+    )  # a patch at the place of jumps absorbs a part of them
     least, replaces = 0.0, False
     if model.patches:
-        other, total = test.best(plain, families)
+        other, total = best_structure(model, test, plain, families)
         replaces = test.lead(plain, other, own) + PATCH_PRICE * len(model.patches) > gain
         if replaces:
             own, family, gain = plain, other, total
         elif len(model.patches) == 1:
             fit, rest = model.fit(terms), model.fit([term for term in terms if term.effect is not WHEEL_SLIP])
             least = PATCH_SHARE * (fit.log_posterior - rest.log_posterior)
-    dispersion = test.dispersion(family, EVIDENCE.cluster, limits[0].period)
+    dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
     threshold = max(STRUCTURE_THRESHOLD * dispersion, least)
 
     def size_of(missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
@@ -287,6 +289,18 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
     model.structure = found
     model.fit_noise()
     engine.remove_superfluous(MotionChannel(model, terms), terms)
+
+
+def best_structure(
+    model: WheelModel, test: StructureTest, own: Floats, families: Sequence[StructureFamily]
+) -> tuple[StructureFamily, float]:
+    """Return the best family in addition to columns (3 n, k), and its evidence; the moment of a change is refined."""
+    best = test.best(own, families)
+    if best[1] <= 0:
+        return best
+    jump = test.best(own, [one for one in families if one.kind == "jump"])[0]
+    nearer = scale_jumps(model.rows, model.motion, model.robot.wheels.base, jump)
+    return max(best, test.best(own, nearer), key=lambda one: one[1])
 
 
 # report --------------------------------------------------------------------------------------------------------------

@@ -131,12 +131,17 @@ def _rival(a: Amendment, alternatives: Mapping[Effect, float]) -> Rival | None:
     return Rival(name=best.name, instead_of=a.name, evidence_nats=alternatives[best], separates=advice)
 
 
+def exceeds_sizes(a: Amendment) -> bool:
+    """Tell whether an effect exceeds its materiality."""
+    return all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+
+
 def _judged_entry(a: Amendment, price: float, size: SimulationError, loop: float, error: float) -> Entry:
     """Return the entry of an accepted effect, with the probability that its size exceeds what the loop of the base may cause.
 
     P = Phi((|size| - loop) / standard error)
     """
-    is_material = all(abs(a.parameters[key]) >= limit for key, limit in a.effect.sizes.items())
+    is_material = exceeds_sizes(a)
     entry = accepted_entry(a, EVIDENCE.threshold, price, size)
     facts = replace(entry.facts, is_material=is_material)
     if not (is_material and loop):
@@ -281,25 +286,45 @@ def _gap(model: MotionModel, terms: Sequence[Term], fit: Fit) -> Gap:
 
 
 def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[AcceptedStructure]:
-    """Return the tolerances beyond their bounds as one difference without a name, if there are any."""
+    """Return the tolerances beyond their bounds as one difference without a name, if there are any.
+
+    The ledger keeps it, or else the best one that the evidence does not suffice for.
+    """
     freed = [term for term in terms if term.effect is None]
-    if not freed:
+    rest_terms = [term for term in terms if term.effect is not None]
+    tried = [[term] for term in model.terms if term.effect is None]
+    found = list[AcceptedStructure]()
+    for some in [freed] if freed else tried:
+        with_it = fit if freed else model.fit([*rest_terms, *some], fit)
+        rest = model.fit(rest_terms, fit) if freed else fit
+        columns, price = [term.column for term in some], sum(term.price for term in some)
+        family = StructureFamily(
+            kind=some[0].family,
+            columns=with_it.columns[:, columns],
+            statement=model.words_of({k: float(with_it.solution.theta[k]) for k in columns}),
+            choice_price=price,
+        )
+        missing = with_it.simulated - rest.simulated + with_it.explained(columns)
+        found.append(
+            AcceptedStructure(
+                family=family,
+                evidence=with_it.log_posterior - rest.log_posterior - price,
+                threshold=EVIDENCE.threshold,
+                size=model.error_without(with_it, missing),
+            )
+        )
+    if not found:
         return []
-    rest = model.fit([term for term in terms if term.effect is not None], fit)
-    columns = [term.column for term in freed]
-    price = sum(term.price for term in freed)
-    family = StructureFamily(
-        kind=freed[0].family,
-        columns=fit.columns[:, columns],
-        statement=model.words_of({column: float(fit.solution.theta[column]) for column in columns}),
+    best = max(found, key=lambda one: one.evidence)
+    screened = ScreenedFamily(family=best.family, evidence=best.evidence, price=best.family.choice_price)
+    model.tested.append(
+        TestedStructure(
+            families={best.family.kind: screened},
+            threshold=EVIDENCE.threshold,
+            best=best if freed else None,
+        )
     )
-    evidence = fit.log_posterior - rest.log_posterior - price
-    size = model.error_without(fit, fit.simulated - rest.simulated + fit.explained(columns))
-    found = AcceptedStructure(family=family, evidence=evidence, threshold=EVIDENCE.threshold, size=size)
-    screened = ScreenedFamily(family=family, evidence=evidence, price=price)
-    families = {family.kind: screened}
-    model.tested.append(TestedStructure(families=families, threshold=EVIDENCE.threshold, best=found))
-    return [found]
+    return [best] if freed else []
 
 
 def _structure_entries(channel: str, tests: Iterable[TestedStructure]) -> Iterator[Entry]:

@@ -70,6 +70,8 @@ def admitted_structure(
     found: tuple[StructureFamily, float],
     threshold: float,
     size_of: Callable[[Floats, StructureFamily], SimulationError | ReferenceError],
+    *,
+    stands_for_material: bool = False,
 ) -> AcceptedStructure | None:
     """Return the best family if its evidence suffices and its size matters to a user; the ledger keeps the test.
 
@@ -78,6 +80,7 @@ def admitted_structure(
     own : (k n, .) Columns of the model without structure.
     found : The best family, and its evidence [nats].
     threshold : [nats]
+    stands_for_material : It replaces effects that matter.
     size_of : Returns the error without rows (k n,) that the family explains.
     """
     family, gain = found
@@ -90,6 +93,7 @@ def admitted_structure(
     if family.least_change:
         rms = np.std(missing) / max(float(np.std(family.columns.sum(axis=1))), 1e-12)
         is_material = bool(2 * sure_share(gain) * rms >= family.least_change)
+    is_material = is_material or stands_for_material
     accepted = AcceptedStructure(
         family=family, evidence=gain, threshold=threshold, size=size, rivals=test.rivals(family)
     )

@@ -43,6 +43,8 @@ class StructureFamily:
     least_change: float = 0.0
     """Change of its coefficients, as twice their standard deviation, that matters; 0: the error of a simulation without it
     decides."""
+    moment: float = float("nan")
+    """[s] time of the change, for families of a single change."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,8 +162,8 @@ class StructureTest:
         with_it, without = (plain._fit_columns(whitener, own, one)[0] for one in (family, None))
         return np.asarray(without - with_it)
 
-    def dispersion(self, family: StructureFamily, span: float, period: float) -> float:
-        """Return the dispersion of the last residual over blocks of `span` [s], in the kinds of rows of a family; at least 1.
+    def dispersion(self, span: float, period: float) -> float:
+        """Return the dispersion of the last residual over blocks of `span` [s]; at least 1.
 
             dispersion = sum over blocks of (sum of white)² / sum of white²
 
@@ -170,15 +172,7 @@ class StructureTest:
         limit = EVIDENCE.huber_limit
         block = np.arange(self.n) // max(round(span / period), 1)
         sums, squares = 0.0, 0.0
-        kinds = zip(
-            self.whitener.filters,
-            by_kind(self.residual, self.n),
-            by_kind(family.columns, self.n),
-            strict=True,
-        )
-        for noise, part, columns in kinds:
-            if not columns.any():
-                continue
+        for noise, part in zip(self.whitener.filters, by_kind(self.residual, self.n), strict=True):
             white = np.where(self.valid, noise(part), 0.0)
             limited = np.clip(white, -limit, limit)
             sums += float(np.square(np.bincount(block, limited)).sum())

@@ -52,6 +52,8 @@ N_JUMPS = 45
 TIGHT_TURNS = (0.3, 1.0, 3.0)
 """Distance from the middle of the axle to the centre of rotation, in half wheelbases, below which a turn
 is tight."""
+N_NEARER = 11
+"""Number of moments that are tried about the best one."""
 N_CLOCK_PIECES = (5, 20)
 """Numbers of pieces of the run with separate clock offsets; tried one after the other."""
 MIN_EXTENT = 1.5
@@ -103,7 +105,7 @@ def odometry_families(
     tight: list[Scale] = [("turn", v < c * at_rim) for c in TIGHT_TURNS]
     scales.append(("curvature", "a scale that differs in tight turns: the tyres scrub", tight))
     families = [_scales(rows, wheels, size.base, *one) for one in scales]
-    families += [_at_rest(rows, wheels), *_jumps(rows, wheels, size.base)]
+    families += [_at_rest(rows, wheels), *scale_jumps(rows, wheels, size.base)]
     families += [_clock_pieces(rows, n) for n in N_CLOCK_PIECES]
     families += [*_turns_of_a_wheel(rows, wheels, size), _by_heading(rows, wheels), _sliding(rows, wheels)]
     is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= MIN_EXTENT
@@ -155,14 +157,23 @@ def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     )
 
 
-def _jumps(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
-    """Return one family for each of several moments, spread over the run, at which scales may change once."""
-    out, price = list[StructureFamily](), float(np.log(N_JUMPS))
-    for share in np.arange(1, N_JUMPS + 1) / (N_JUMPS + 1):
-        moment = wheels.start[0] + share * np.ptp(wheels.middle)
+def scale_jumps(
+    rows: OdometryRows, wheels: WheelIncrements, base: float, about: StructureFamily | None = None
+) -> list[StructureFamily]:
+    """Return one family for each of several moments at which scales may change once.
+
+    They are spread over the run, or about the moment of a family that was found.
+    """
+    first, span, price = wheels.start[0], float(np.ptp(wheels.middle)), float(np.log(N_JUMPS))
+    moments = first + span * np.arange(1, N_JUMPS + 1) / (N_JUMPS + 1)
+    if about is not None:
+        moments = about.moment + span / (N_JUMPS + 1) * np.linspace(-1.0, 1.0, N_NEARER)
+        price += float(np.log(N_NEARER))
+    out = list[StructureFamily]()
+    for moment in moments.tolist():
         scales: list[Scale] = [(part, wheels.middle > moment) for part in PARTS]
         statement = f"a scale that changes once, after {moment:.0f} s"
-        out.append(_scales(rows, wheels, base, "jump", statement, scales, price))
+        out.append(replace(_scales(rows, wheels, base, "jump", statement, scales, price), moment=moment))
     return out
 
 
