@@ -21,7 +21,7 @@ from sensorgraph.models.base import Prediction
 from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.readings import GraphReadings
-from sensorgraph.watching.settings import LASER_FAULTS, ROBOT, RobotPriors
+from sensorgraph.watching.settings import FAULTS_PER_HOUR, LASER_FAULTS, ROBOT, RobotPriors
 
 MOST_RESIDUAL = 0.2
 """[m] A larger residual shows another surface."""
@@ -183,7 +183,7 @@ class BlockedSectors:
         self.members[sector, np.arange(len(bearings))] = 1.0
         self.middle = (self.members @ bearings) / self.members.sum(axis=1)
         self.nats = np.zeros(n)
-        self.log_odds = math.log(0.01 / 3600.0 * priors.sector_window / n)
+        self.log_odds = math.log(FAULTS_PER_HOUR / 3600.0 * priors.sector_window / n)
 
     def add(self, is_covered: Bools, expected: Floats, asked: Bools, weight: float, dt: float) -> None:
         """Add a scan: which rays are too close or missing, with the predicted probability of that, where the graph knows.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from sensorgraph.watching.resemblance import resemblance_of
 from sensorgraph.watching.scan_input import ScanInput, apart
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 
-REGION = 1.96
-"""Standard deviations to the end of the central 95 % of a normal distribution."""
+PROBABLE = 0.9
+"""Probability from which a mode is the pose of the robot, whatever its prior was."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,8 +38,6 @@ class Mode:
     """Logarithm of the probability that it is at another place, whose scans resemble this pose."""
     number: int
     """Number that stays while the mode is followed."""
-    is_belief: bool = False
-    """Whether the robot's belief supports it: it was added as the believed pose, which its distribution still contains."""
     is_matched: bool = False
     """Whether the last scan was matched to the surfaces."""
     answered: float = 0.0
@@ -47,15 +45,15 @@ class Mode:
     evidence: float = 0.0
     """[nats] Mean evidence of the answered readings of the last scan."""
     alone: float = 0.0
-    """[m] Distance driven where the graph does not answer its rays or the scan does not match, less that where it does."""
+    """[m] Distance driven where the graph does not answer its rays or the scan does not match, less that where it does.
+
+    A pose that a search found has that of the mode that was followed up to there."""
     moved: float = 0.0
     """[m] Distance driven since the last scan."""
-    followed: float = 0.0
-    """[m] Distance over which this was the probable mode, at most `TrackingPriors.confirmed`."""
-
-    def without_belief(self, believed: Floats, tolerance: tuple[float, float]) -> Mode:
-        """Return the mode without the support of the belief, if the robot does not believe it any more."""
-        return replace(self, is_belief=self.is_belief and self.contains(believed, tolerance))
+    handicap: float = 0.0
+    """[nats] By which its prior was reduced as a belief that contradicts the tracking; 0 once it was the probable pose."""
+    resembles: Mapping[int, float] = field(default_factory=dict)
+    """Number of another mode -> log-odds that what the graph does not know here resembles the surroundings there, against any."""
 
     def merged(self, other: Mode) -> Mode:
         """Return the mode with another that has met it."""
@@ -63,18 +61,12 @@ class Mode:
             self,
             score=float(np.logaddexp(self.score, other.score)),
             alike=float(np.logaddexp(self.alike, other.alike)),
-            followed=max(self.followed, other.followed),
-            is_belief=self.is_belief or other.is_belief,
         )
 
     @property
     def total(self) -> float:
         """Logarithm of the probability that the robot is here or at a place that resembles it."""
         return float(np.logaddexp(self.score, self.alike))
-
-    def is_confirmed(self, distance: float) -> bool:
-        """Tell whether the robot's belief supports the mode, or it was the probable one over a distance [m]."""
-        return self.is_belief or self.followed >= distance
 
     def parts(self) -> Floats:
         """Return the middles (7, 3) of equal parts of the distribution, each of a quarter of its covariance.
@@ -86,25 +78,29 @@ class Mode:
         return np.asarray(self.pose + np.concatenate([np.zeros((1, 3)), steps, -steps]))
 
     def weighted(self, log_weights: Floats) -> Mode:
-        """Return the mode with its parts weighted by logarithms (7,)."""
+        """Return the mode with its parts weighted by logarithms (7,) of likelihoods, whose mean is that of the mode."""
         weights = np.exp(log_weights - log_weights.max())
+        mean_likelihood = float(np.logaddexp.reduce(log_weights) - math.log(len(log_weights)))
         off = self.parts() - self.pose
         mean = weights @ off / weights.sum()
         apart = off - mean
         covariance = 0.25 * self.covariance + (weights[:, None] * apart).T @ apart / weights.sum()
-        return replace(self, pose=self.pose + mean, covariance=covariance)
+        return replace(self.plus(mean_likelihood), pose=self.pose + mean, covariance=covariance)
+
+    def plus(self, nats: float) -> Mode:
+        """Return the mode with evidence [nats] for the robot being here or at a place that resembles it."""
+        return replace(self, score=self.score + nats, alike=self.alike + nats)
+
+    def resembling(self, number: int, odds: float) -> Mode:
+        """Return the mode if its unknown surroundings may resemble those of a new one, with log-odds by the recent scans."""
+        known = np.logaddexp.reduce([0.0, *self.resembles.values()])
+        score = self.score + float(np.logaddexp(known, odds) - known)
+        return replace(self, score=score, resembles={**self.resembles, number: odds})
 
     def is_at(self, pose: Floats, tolerance: tuple[float, float]) -> bool:
         """Tell whether the mode is within a tolerance [m, rad] of a pose (3,)."""
         way, turn = apart(self.pose, pose)
         return way < tolerance[0] and turn < tolerance[1]
-
-    def contains(self, pose: Floats, tolerance: tuple[float, float]) -> bool:
-        """Tell whether a pose (3,) is within a tolerance [m, rad] of the 95 % region of the mode."""
-        way, turn = apart(self.pose, pose)
-        along = (pose - self.pose)[:2] / max(way, 1e-9)
-        wide = REGION * math.sqrt(max(float(along @ self.covariance[:2, :2] @ along), 0.0))
-        return way < tolerance[0] + wide and turn < tolerance[1] + REGION * math.sqrt(self.covariance[2, 2])
 
 
 def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING) -> Mode:
@@ -153,7 +149,12 @@ def error_of_step(
 
 
 def weighed(
-    modes: Sequence[Mode], found: ReadingEvidence, share: float, weight: float, priors: TrackingPriors
+    modes: Sequence[Mode],
+    found: ReadingEvidence,
+    share: float,
+    weight: float,
+    log_places: float,
+    priors: TrackingPriors,
 ) -> list[Mode]:
     """Return the modes weighed by the evidence of a scan.
 
@@ -161,26 +162,53 @@ def weighed(
     ----------
     share : Share of independent readings.
     weight : Share of new evidence in the scan.
+    log_places : Logarithm of the number of different places.
     """
     known = np.where(found.known, found.ratios, 0.0)
-    confirmed = np.array([mode.is_confirmed(priors.confirmed) for mode in modes])
-    gains = resemblance_of(found, confirmed, share)
+    gains = resemblance_of(found, share)
     evidence = known.sum(axis=1) / np.maximum(found.known.sum(axis=1), 1)
+    others = max(weight * priors.independent_distance / priors.surroundings, 1e-9)
     out = []
     for k, mode in enumerate(modes):
         answered, moved = float(found.answered[k]), mode.moved
         is_known = mode.is_matched and answered > priors.answered
-        followed = mode.followed + (moved if is_known and mode.score > math.log(0.9) else 0.0)
+        numbers = [other.number for other in modes]
+        gain, resembles = _in_surroundings(mode, numbers, weight * gains.here[k], others, log_places)
         out.append(
             replace(
-                mode, score=mode.score + weight * float(gains.here[k]),
-                alike=mode.alike + weight * float(gains.elsewhere[k]),
-                answered=answered, evidence=float(evidence[k]),
+                mode, score=mode.score + gain, alike=mode.alike + weight * float(gains.elsewhere[k]),
+                answered=answered, evidence=float(evidence[k]), resembles=resembles,
+                handicap=0.0 if mode.score > math.log(PROBABLE) else mode.handicap,
                 alone=max(mode.alone - moved, 0.0) if is_known else mode.alone + moved,
-                followed=min(followed, priors.confirmed),
             )
         )  # fmt: skip
     return out
+
+
+def _in_surroundings(
+    mode: Mode, numbers: Sequence[int], gains: Floats, others: float, log_places: float
+) -> tuple[float, dict[int, float]]:
+    """Return the evidence of a scan for a mode, and the log-odds after it that its unknown surroundings resemble other modes.
+
+    Before, they resemble those of one certain pose with odds of one to the number of places (a hidden Markov model).
+
+    Parameters
+    ----------
+    numbers : (n_modes,) Numbers of all modes.
+    gains : (n_modes,) [nats] Evidence for the robot being at this mode, where its unknown surroundings resemble those of each
+        other mode; at the place of this mode, if they resemble none.
+    others : Probability that the surroundings are others than at the last scan.
+    log_places : Logarithm of the number of different places.
+    """
+    own = np.array([number == mode.number for number in numbers])
+    prior = np.where(own, 0.0, -log_places)
+    last = np.where(own, 0.0, [mode.resembles.get(number, -log_places) for number in numbers])
+    same = last - np.logaddexp.reduce(last) + math.log1p(-others)
+    new = prior - np.logaddexp.reduce(prior) + math.log(others)
+    after = np.logaddexp(same, new) + gains
+    odds = after - after[own]
+    kept = {number: float(one) for number, one in zip(numbers, odds, strict=True) if number != mode.number}
+    return float(np.logaddexp.reduce(after)), kept
 
 
 def exchanged(mode: Mode, share: float) -> Mode:
@@ -193,31 +221,74 @@ def exchanged(mode: Mode, share: float) -> Mode:
     )
 
 
-def found_scores(main: Mode | None, elsewhere: float, gains: Floats, carried: Floats) -> Floats:
-    """Return `score` and `alike` (2,) of a pose that a search found, before its prior among all places.
+def found_scores(
+    main: Mode | None, elsewhere: float, gains: Floats, of_main: Floats, carried: Floats
+) -> Floats:
+    """Return `score` and `alike` (2,) of a pose that a search found, before its prior of one among all places.
 
-    The robot may have been carried there from the most probable mode before any of the scans, or was elsewhere already.
+    The robot may have been carried there from the most probable mode before any of the scans, or was elsewhere already. It is as
+    probable at the pose as at a place outside the graph that resembles it.
 
     Parameters
     ----------
     main : The most probable mode; None without any.
     elsewhere : Logarithm of the probability of a place that resembles none of the modes.
-    gains : (n_scans, n_poses, 2) [nats] Evidence of each scan at the pose and at the main mode: for the robot being there, and
-        for a place that resembles it.
+    gains : (n_scans, 2) [nats] Evidence of the scans from each one on: for the robot being at the pose, and for a place that
+        resembles it.
+    of_main : (n_scans, 2) [nats] The same for the main mode.
     carried : (n_scans,) Logarithm of the probability that the robot was carried away just before each scan.
     """
     if main is None:
-        return np.asarray(elsewhere + gains[:, 0].sum(axis=0))
-    since = np.cumsum((gains[:, 0] - gains[:, 1, :1])[::-1], axis=0)[::-1] + carried[:, None]
-    earlier = main.alike + (gains[:, 0] - gains[:, 1, 1:]).sum(axis=0)
-    return np.asarray(np.logaddexp.reduce(np.vstack([main.score + since, earlier]), axis=0))
+        return np.asarray(elsewhere + gains[0] - math.log(2.0))
+    since = main.score + gains - of_main[:, :1] + carried[:, None]
+    earlier = main.alike + gains[:1] - of_main[0, 1]
+    return np.asarray(np.logaddexp.reduce(np.vstack([since, earlier]), axis=0) - math.log(2.0))
 
 
-def found_mode(pose: Floats, scores: Floats, number: int) -> Mode:
-    """Return a mode at a pose (3,) that a search found, with its `score` and `alike` (2,)."""
+def found_mode(
+    pose: Floats,
+    number: int,
+    modes: Sequence[Mode],
+    elsewhere: float,
+    gains: Floats,
+    carried: Floats,
+    log_places: float,
+) -> tuple[Mode, Floats]:
+    """Return a mode at a pose (3,) that a search found.
+
+    The second value (n_modes,) holds the log-odds that the unknown surroundings of each other mode resemble those of the pose.
+
+    Parameters
+    ----------
+    elsewhere : Logarithm of the probability of a place that resembles none of the modes.
+    gains : (n_scans, 2 + n_modes, 1 + n_modes) [nats] Evidence of scans at the pose and the modes: `here` of a resemblance, and
+        `elsewhere` in the last row.
+    carried : (n_scans,) Logarithm of the probability that the robot was carried away just before each scan.
+    log_places : Logarithm of the number of different places.
+    """
+    since = np.cumsum(gains[::-1], axis=0)[::-1]  # sums from each scan on
+    main = max(modes, key=lambda mode: mode.score, default=None)
+    of_main = np.zeros((len(gains), 2))
+    if main is not None:
+        k = 1 + next(k for k, mode in enumerate(modes) if mode is main)
+        prior = np.where(np.arange(1, 1 + len(modes)) == k, 0.0, -log_places)
+        of_main = np.column_stack([np.logaddexp.reduce(since[:, k, 1:] + prior, axis=1), since[:, -1, k]])
+    scores = found_scores(main, elsewhere, since[:, [0, -1], 0], of_main, carried) - log_places
+    odds = since[0, 1:-1, 0] - np.diagonal(since[0])[1:] - log_places
     covariance = np.diag(np.array([0.05, 0.05, 0.02]) ** 2)
     score, alike = scores.tolist()
-    return Mode(pose=pose, covariance=covariance, score=score, alike=alike, number=number, is_matched=True)
+    mode = Mode(
+        pose=pose, covariance=covariance, score=score, alike=alike, number=number, is_matched=True,
+        alone=0.0 if main is None else main.alone,
+    )  # fmt: skip
+    return mode, odds
+
+
+def joined(modes: Sequence[Mode], found: Mode, odds: Floats) -> list[Mode]:
+    """Return the modes with one that a search found, and the log-odds (n,) that the first n of them resemble it."""
+    n = len(odds)
+    alike = [mode.resembling(found.number, float(one)) for mode, one in zip(modes[:n], odds, strict=True)]
+    return [*alike, *modes[n:], found]
 
 
 def _positive(information: Floats) -> Floats:

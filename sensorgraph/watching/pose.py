@@ -124,19 +124,17 @@ class PoseJudge:
     def p_off(self, p_near: float, known: float = 1.0, offset: tuple[float, float] = (0.0, 0.0)) -> float:
         """Return the probability that the belief is off, after a statement that it is near with a probability.
 
-        The tracker gives a belief that contradicts it a small prior; only what the readings add to it is evidence.
-
         Parameters
         ----------
-        known : How far the graph knows the surroundings, 0 to 1; 0 where the scan is not matched. There the tracked pose
-            drifts: if it leaves the belief, this is no evidence, but if both agree, it is.
+        known : How far the graph knows the surroundings, 0 to 1; 0 where the scan is not matched, or was not for long. There
+            the tracked pose drifts: if it leaves the belief, this is no evidence, but if both agree, it is.
         offset : [m, rad] From the belief to the most probable mode.
         """
         s = self.priors
         nats = math.log(max(1.0 - p_near, 1e-12) / max(p_near, 1e-12))
         if nats > 0:
             lasting = 0.5 * ((offset[0] / s.tolerance[0]) ** 2 + (offset[1] / s.tolerance[1]) ** 2)
-            nats = known * min(max(nats + math.log(s.belief), 0.0), s.most_of_one + lasting)
+            nats = known * min(nats, s.most_of_one + lasting)
         self.odds = min(max(self.odds + max(nats, -s.most_of_one), -s.right), s.right)
         return float(expit(self.odds))
 
@@ -163,9 +161,12 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
     is_known = main.answered >= priors.answered and main.alone < priors.alone
     if believed is not None:
         moved = np.abs(tracker.velocity) * priors.stamp
-        near = [_p_near(mode, believed, moved, priors) for mode in modes]
-        p_near = float(probabilities @ near) / max(1.0 - p_lost, 1e-9)
-        known = min(main.answered / priors.answered, 1.0) if main.is_matched else 0.0
+        near = np.array([_p_near(mode, believed, moved, priors) for mode in modes])
+        # the prior of a belief that contradicts the tracking is no evidence, only what the readings add to it
+        is_near = float((probabilities * np.exp([mode.handicap for mode in modes])) @ near)
+        p_near = is_near / max(is_near + float(probabilities @ (1.0 - near)), 1e-9)
+        is_news = main.is_matched and main.alone < priors.alone
+        known = min(main.answered / priors.answered, 1.0) if is_news else 0.0
         offset = apart(main.pose, believed)
         p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, known, offset))
     p_off = max(1.0 - p_lost - p_ok, 0.0)

@@ -45,8 +45,6 @@ class ReadingEvidence:
     """(n_poses, n_rays) probability that the graph predicts the reading."""
     residuals: Floats
     """(n_poses, n_rays) [m] Reading less the predicted one."""
-    read: Bools
-    """(n_rays,) whether the reading is not broken."""
     predicted: float
     """Prior share of readings that the graph can predict."""
 
@@ -124,9 +122,7 @@ class GraphReadings:
         fits = 1.0 - (1.0 - s) * np.exp(-ratios)
         with np.errstate(invalid="ignore"):
             residuals = z - expected.ranges
-        return ReadingEvidence(
-            ratios=ratios, known=known, fits=fits, residuals=residuals, read=~np.isnan(z), predicted=s
-        )
+        return ReadingEvidence(ratios=ratios, known=known, fits=fits, residuals=residuals, predicted=s)
 
     def n_independent(self, ranges: Floats) -> float:
         """Return the number of independent readings of a scan (n_rays,) [m] among those that weigh poses."""

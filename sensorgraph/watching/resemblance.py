@@ -9,18 +9,20 @@ that the graph predicts, the likelihood of a scan is
 where w is the share of independent readings. At the pose, q has the density f(q) = a q^(a - 1), whose mean a / (a + 1)
 is the prior share of predicted readings. At another place, any share is equally probable: f(q) = 1.
 
-A robot that was followed may leave what the graph knows. Where the graph answers only a share of the rays, its scan is of
-known surroundings with this probability, and otherwise it may resemble them by any share.
+A ray that the graph does not answer ends in unknown surroundings. Its reading is one from anywhere, with R_i = 1, or the
+surroundings resemble those of another pose, whose R_i it has. Where the graph answers only the share a of the rays, these end
+close to the unknown: an answer holds with the probability a. A reading that does not fit has a R_i + (1 - a) times that of
+unknown surroundings. The graph may also know a surface, but not well. A reading that fits there has the greater R_i of both.
+Surroundings that resemble others do so by a share that persists. So f counts with which the scan is more probable.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.types import Bools, Floats
+from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
@@ -32,35 +34,45 @@ class Resemblance:
     """Log-likelihoods of one scan at poses, relative to readings from anywhere in the place."""
 
     here: Floats
-    """(n_poses,) [nats] if the robot is at the pose."""
+    """(n_poses, n_poses) [nats] if the robot is at the pose of the row, and what the graph does not know there resembles the
+    surroundings of the pose of the column; on the diagonal, it resembles none."""
     elsewhere: Floats
     """(n_poses,) [nats] if it is at another place, which resembles this pose by any share."""
 
 
-def resemblance_of(found: ReadingEvidence, confirmed: Bools, share: float) -> Resemblance:
-    """Return the two log-likelihoods of a scan at poses.
+def resemblance_of(found: ReadingEvidence, share: float) -> Resemblance:
+    """Return the log-likelihoods of a scan at poses; `share` is the share of independent readings."""
+    none = np.eye(len(found.ratios), dtype=np.bool_)
+    other = np.where(none[:, :, None], 0.0, np.where(found.known, found.ratios, 0.0))
+    here, any_share = _likelihoods(found, other, share)
+    return Resemblance(
+        here=np.where(none, here, np.maximum(here, any_share)), elsewhere=np.diag(any_share).copy()
+    )
+
+
+def likelihoods_at(found: ReadingEvidence, share: float) -> Floats:
+    """Return the log-likelihoods (n_poses,) of a scan at poses whose unknown surroundings resemble none, as `resemblance_of`."""
+    return _likelihoods(found, np.zeros((1, 1, 1)), share)[0][:, 0]
+
+
+def _likelihoods(found: ReadingEvidence, other: Floats, share: float) -> tuple[Floats, Floats]:
+    """Return the log-likelihoods (n_poses, n) of a scan at poses, with the share of the pose, and with any.
 
     Parameters
     ----------
-    confirmed : (n_poses,) Whether the robot was followed to the pose. It may leave what the graph knows, and a ray that the
-        graph does not answer counts as much as at the best other pose. Otherwise, such a reading is not predicted.
-    share : Share of independent readings.
+    other : (n_poses or 1, n, n_rays or 1) [nats] Logarithms of R_i in the surroundings that those of the pose may resemble.
     """
-    known = np.where(found.known, found.ratios, 0.0)
-    unanswered = np.where(confirmed[:, None], known.max(axis=0), math.log(1.0 - found.predicted))
-    ratios = np.where(found.known | ~found.read, known, unanswered)
+    own, holds = found.ratios[:, None], found.answered[:, None, None]
+    doubted = np.log(holds * np.exp(own) + (1.0 - holds) * np.exp(other))
+    ratios = np.where(own > 0.0, np.maximum(own, other), doubted)
+    ratios = np.where(found.known[:, None], ratios, other)
     q, weights = 0.5 * (NODES + 1.0), 0.5 * WEIGHTS
     odds = np.maximum((np.exp(ratios) - 1.0) / found.predicted, -1.0)  # R - 1
-    scans = share * np.log1p(q[:, None, None] * odds).sum(axis=2)  # (24, n_poses)
+    scans = share * np.array([np.log1p(each * odds).sum(axis=2) for each in q])  # (24, n_poses, n)
     power = found.predicted / (1.0 - found.predicted)
-    elsewhere = _log_sum(scans, weights)
-    here = _log_sum(scans, weights * power * q ** (power - 1.0))
-    knows = np.where(confirmed, found.answered, 1.0)
-    with np.errstate(divide="ignore"):
-        mixed = np.logaddexp(np.log(knows) + here, np.log1p(-knows) + elsewhere)
-    return Resemblance(here=np.asarray(mixed), elsewhere=elsewhere)
+    return _log_sum(scans, weights * power * q ** (power - 1.0)), _log_sum(scans, weights)
 
 
 def _log_sum(logs: Floats, weights: Floats) -> Floats:
-    """Return log sum_j weights_j exp(logs_jk)."""
-    return np.asarray(np.logaddexp.reduce(logs + np.log(weights)[:, None], axis=0))
+    """Return log sum_j weights_j exp(logs_jkl)."""
+    return np.asarray(np.logaddexp.reduce(logs + np.log(weights)[:, None, None], axis=0))

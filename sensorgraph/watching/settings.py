@@ -79,8 +79,8 @@ class TrackingPriors:
     """Share of answered rays below which the graph does not know the surroundings."""
     alone: float = 5.0
     """[m] Distance driven outside what the graph knows after which the believed pose is as probable as ours."""
-    confirmed: float = 3.0
-    """[m] Distance over which a mode must have been the probable one to go on where the graph does not answer its rays."""
+    surroundings: float = 5.0
+    """[m] Distance after which surroundings that the graph does not know are others."""
     dropped: float = 25.0
     """[nats] A mode that is less probable than the best by more is no longer followed."""
     n_modes: int = 5

@@ -8,8 +8,9 @@ result. A search of the whole place finds other modes when the evidence stays be
 place could gain. A new mode has half the prior of one among all places that can be told apart. The other half is that of a
 place outside the graph that resembles it.
 
-A ray that the graph does not answer says nothing against a mode that was followed: it counts as much there as at the best
-other mode. So a robot that drives outside what the graph knows goes on by odometry, with a growing covariance.
+A ray that the graph does not answer says nothing for or against a mode: its reading is one from anywhere. So a robot that
+drives outside what the graph knows goes on by odometry, with a growing covariance. Since its surroundings may look like those of
+another mode, this is a hypothesis of its own, with a prior of one among all places.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from sensorgraph.watching.modes import (
     error_of_step,
     exchanged,
     found_mode,
-    found_scores,
+    joined,
     matched,
     velocity_of,
     weighed,
 )
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
-from sensorgraph.watching.resemblance import resemblance_of
+from sensorgraph.watching.resemblance import likelihoods_at, resemblance_of
 from sensorgraph.watching.scan_input import (
     ScanInput,
     apart,
@@ -151,8 +152,6 @@ class PoseTracker:
         before = self.main
         expected = np.hypot(deviations, slip)
         self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
-        if observation.believed is not None:
-            self.modes = [mode.without_belief(observation.believed, s.tolerance) for mode in self.modes]
         self._add_belief(now)
         self._weigh(now, dt)
         main = self.main
@@ -183,7 +182,7 @@ class PoseTracker:
         s, believed = self.priors, now.observation.believed
         if believed is None:
             return
-        alike = math.log(max(self.p_elsewhere, 1e-300))
+        alike, handicap = math.log(max(self.p_elsewhere, 1e-300)), 0.0
         if not self.modes and not self.n_searches:
             score, alike = math.log(s.start), math.log(1.0 - s.start)
             self.elsewhere = -math.inf
@@ -192,11 +191,11 @@ class PoseTracker:
         else:
             is_alone = self.main is not None and self.main.alone > s.alone
             score = math.log(0.5 if is_alone else s.belief)
-            alike += score
+            alike, handicap = alike + score, -score
         covariance = np.diag(np.asarray(s.start_deviations) ** 2)
         mode = Mode(
             pose=believed, covariance=covariance, score=score, alike=alike, number=next(self._numbers),
-            is_belief=bool(self.modes), followed=0.0 if self.modes else s.confirmed,
+            handicap=handicap, resembles={} if self.main is None else self.main.resembles,
         )  # fmt: skip
         mode = corrected(mode, matched(self.place, believed, covariance, now))
         kept = [one for one in self.modes if not one.is_at(mode.pose, self.priors.tolerance)]
@@ -211,22 +210,29 @@ class PoseTracker:
                 now.weight * self.usual * self.readings.n_independent(now.observation.ranges) + 1.0
             )
             return
-        self.modes = [mode if mode.is_matched else self._corrected(mode, now) for mode in self.modes]
+        self._correct(now)
         found = self._evidence(now, np.array([mode.pose for mode in self.modes]))
+        # a mode that was corrected has the mean likelihood of its parts, not that of its pose
+        counted = now.weight * likelihoods_at(found, self._share(now))
+        counted *= [not mode.is_matched for mode in self.modes]
+        self.modes = [mode.plus(-float(one)) for mode, one in zip(self.modes, counted, strict=True)]
         first = int(np.argmax([mode.total for mode in self.modes]))
         if self.modes[first].is_matched:
             self.offset.add(found.residuals[first][found.known[first]], self._share(now), now.weight)
         carried = -0.5 * math.expm1(-2.0 * s.carried * dt)
         self.modes = [exchanged(mode, carried) for mode in self.modes]
-        self.modes = weighed(self.modes, found, self._share(now), now.weight, s)
+        self.modes = weighed(self.modes, found, self._share(now), now.weight, self.log_places, s)
         self._normalise()
         self._count_missing(now)
 
-    def _corrected(self, mode: Mode, now: ScanInput) -> Mode:
-        """Correct a mode by the evidence of the readings, where the scan matches no surfaces."""
-        found = self._evidence(now, mode.parts())
-        ratios = found.ratios[:, found.known.all(axis=0)]
-        return mode.weighted(now.weight * self._share(now) * ratios.sum(axis=1))
+    def _correct(self, now: ScanInput) -> None:
+        """Correct the modes by the evidence of the readings, where the scan matches no surfaces."""
+        parts = [mode.parts() for mode in self.modes if not mode.is_matched]
+        if not parts:
+            return
+        found = self._evidence(now, np.concatenate(parts))
+        logs = iter((now.weight * likelihoods_at(found, self._share(now))).reshape(len(parts), -1))
+        self.modes = [mode if mode.is_matched else mode.weighted(next(logs)) for mode in self.modes]
 
     def _evidence(self, now: ScanInput, poses: Floats) -> ReadingEvidence:
         """Return the evidence of the usable readings of a scan at poses (n, 3)."""
@@ -252,43 +258,40 @@ class PoseTracker:
     def _search(self) -> None:
         """Search the surroundings of the most probable mode, or the whole place, for other modes."""
         self.limit = min(2.0 * max(self.limit, 1.0), 64.0 * self.log_places)
-        self.missing = 0.0
-        self.n_searches += 1
+        self.missing, self.n_searches = 0.0, self.n_searches + 1
         if not self.kept:
             return
-        main, window = self.main, None
-        last = self.kept.last_drift
+        main, window, last = self.main, None, self.kept.last_drift
         if main is not None and self.n_searches % 2 == 0:
             pose = compose(main.pose, compose(invert(self.drift), last))
             spread = 3.0 * np.sqrt(np.diag(main.covariance))
             window = SearchWindow.around(
                 pose, half_xy=max(0.5, float(spread[:2].max())), half_phi=max(0.2, float(spread[2]))
             )
-        found = find_places(self.kept.view(), self.place, window=window)
-        ahead = compose(invert(last), self.drift)
-        for pose in found.poses[: self.priors.n_modes]:
-            self._add_found(compose(pose, ahead))
+        found = find_places(self.kept.view(), self.place, window=window).poses[: self.priors.n_modes]
+        poses = [compose(pose, compose(invert(last), self.drift)) for pose in found]
+        new = [
+            self._found(pose)
+            for pose in poses
+            if not any(mode.is_at(pose, self.priors.tolerance) and mode.is_matched for mode in self.modes)
+        ]
+        for mode, odds in new:
+            self.modes = joined(self.modes, mode, odds)
 
-    def _add_found(self, pose: Floats) -> None:
-        """Add a mode at a pose found by a search, with the evidence of all scans that are kept."""
-        if any(mode.is_at(pose, self.priors.tolerance) and mode.is_matched for mode in self.modes):
-            return
-        main, s, gains = self.main, self.priors, []
-        confirmed = np.array([False, main is not None and main.is_confirmed(s.confirmed)])
+    def _found(self, pose: Floats) -> tuple[Mode, Floats]:
+        """Return a mode at a pose found by a search, and odds as `found_mode` does, by the evidence of all scans that are kept."""
+        s, gains = self.priors, []
         for one in self.kept:
             then = compose(invert(self.drift), one.drift)
-            known_at = [pose] if main is None else [pose, main.pose]
-            found = self._evidence(one, np.array([compose(there, then) for there in known_at]))
-            of_scan = resemblance_of(found, confirmed[: len(known_at)], self._share(one))
-            gains.append(one.weight * np.column_stack([of_scan.here, of_scan.elsewhere]))
+            poses = np.array([compose(at, then) for at in (pose, *(mode.pose for mode in self.modes))])
+            of_scan = resemblance_of(self._evidence(one, poses), self._share(one))
+            gains.append(one.weight * np.vstack([of_scan.here, of_scan.elsewhere]))
         stamps = np.array([one.observation.stamp for one in self.kept])
         spans = np.diff(stamps, prepend=stamps[0] - s.update_period)
         carried = np.log(s.carried * np.maximum(spans, 0.1))
-        scores = found_scores(main, self.elsewhere, np.array(gains), carried)
-        scores -= (
-            math.log(2.0) + self.log_places
-        )  # as probable as a place outside the graph that resembles it
-        self.modes.append(found_mode(pose, scores, next(self._numbers)))
+        return found_mode(
+            pose, next(self._numbers), self.modes, self.elsewhere, np.array(gains), carried, self.log_places
+        )
 
     def _prune(self) -> None:
         """Merge modes that have met, and drop those that are improbable."""
