@@ -171,5 +171,6 @@ def test_a_mode_whose_unknown_surroundings_look_like_a_found_pose_keeps_its_lead
     found, odds = found_mode(np.ones(3), 2, [main], -np.inf, gains, np.full(3, -12.0), PLACES)
     assert found.score > 20.0  # by itself, it would be the more probable
     assert found.alone == 7.0  # what was followed so far to unknown places is no more certain at a found one
+    assert found.resembling(3, 9.0).score == found.score  # it was chosen as the place that fits best
     lead = main.resembling(2, float(odds[0])).score - found.score
     assert lead == pytest.approx(12.0 + math.log(2.0), abs=0.01)

@@ -52,6 +52,9 @@ class Mode:
     """[m] Distance driven since the last scan."""
     handicap: float = 0.0
     """[nats] By which its prior was reduced as a belief that contradicts the tracking; 0 once it was the probable pose."""
+    is_found: bool = False
+    """Whether a search found it, and it was not the probable pose since. It is where the readings fit best among all places, so
+    that its unknown surroundings are not free to resemble yet another one."""
     resembles: Mapping[int, float] = field(default_factory=dict)
     """Number of another mode -> log-odds that what the graph does not know here resembles the surroundings there, against any."""
 
@@ -93,6 +96,8 @@ class Mode:
 
     def resembling(self, number: int, odds: float) -> Mode:
         """Return the mode if its unknown surroundings may resemble those of a new one, with log-odds by the recent scans."""
+        if self.is_found:
+            return self
         known = np.logaddexp.reduce([0.0, *self.resembles.values()])
         score = self.score + float(np.logaddexp(known, odds) - known)
         return replace(self, score=score, resembles={**self.resembles, number: odds})
@@ -173,12 +178,15 @@ def weighed(
         answered, moved = float(found.answered[k]), mode.moved
         is_known = mode.is_matched and answered > priors.answered
         numbers = [other.number for other in modes]
-        gain, resembles = _in_surroundings(mode, numbers, weight * gains.here[k], others, log_places)
+        is_found = mode.is_found and mode.score < math.log(PROBABLE)
+        gain, resembles = weight * float(gains.here[k, k]), dict[int, float]()
+        if not is_found:
+            gain, resembles = _in_surroundings(mode, numbers, weight * gains.here[k], others, log_places)
         out.append(
             replace(
                 mode, score=mode.score + gain, alike=mode.alike + weight * float(gains.elsewhere[k]),
                 answered=answered, evidence=float(evidence[k]), resembles=resembles,
-                handicap=0.0 if mode.score > math.log(PROBABLE) else mode.handicap,
+                handicap=0.0 if mode.score > math.log(PROBABLE) else mode.handicap, is_found=is_found,
                 alone=max(mode.alone - moved, 0.0) if is_known else mode.alone + moved,
             )
         )  # fmt: skip
@@ -279,7 +287,7 @@ def found_mode(
     score, alike = scores.tolist()
     mode = Mode(
         pose=pose, covariance=covariance, score=score, alike=alike, number=number, is_matched=True,
-        alone=0.0 if main is None else main.alone,
+        alone=0.0 if main is None else main.alone, is_found=True,
     )  # fmt: skip
     return mode, odds
 
