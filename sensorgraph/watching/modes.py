@@ -59,9 +59,15 @@ class Mode:
     """Number of another mode -> log-odds that what the graph does not know here resembles the surroundings there, against any."""
 
     def merged(self, other: Mode) -> Mode:
-        """Return the mode with another that has met it."""
+        """Return the mode with another that has met it: mean and covariance are those of both, by their probabilities."""
+        share = math.exp(other.total - float(np.logaddexp(self.total, other.total)))
+        off = other.pose - self.pose
+        off[2] = wrap(off[2])
+        spread = (1.0 - share) * self.covariance + share * other.covariance
         return replace(
             self,
+            pose=self.pose + share * off,
+            covariance=spread + share * (1.0 - share) * np.outer(off, off),
             score=float(np.logaddexp(self.score, other.score)),
             alike=float(np.logaddexp(self.alike, other.alike)),
         )
@@ -109,13 +115,23 @@ class Mode:
 
 
 def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING) -> Mode:
-    """Return a mode after a match of the scan; without one, its pose is that of the odometry."""
+    """Return a mode after a match of the scan; without one, its pose is that of the odometry.
+
+    A mode that drifted before is as probable as its likelihood at the match, times the share of its volume that the match
+    leaves: Laplace's approximation sqrt(|Σ'| / |Σ|) exp(-½ dᵀ Σ⁻¹ d) of a mean likelihood, with the covariances Σ before and
+    Σ' after the match at a distance d. A mode that is followed by matches keeps its volume.
+    """
     if found is None:
         return replace(mode, is_matched=False)
     information = np.linalg.inv(mode.covariance) + _positive(found.information) / CORRELATION
     covariance = np.asarray(
         np.linalg.inv(information) + np.diag(np.asarray(priors.map_floor) ** 2), dtype=np.float64
     )
+    if not mode.is_matched:
+        off = found.pose - mode.pose
+        off[2] = wrap(off[2])
+        nats = 0.5 * float(np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mode.covariance)[1])
+        mode = mode.plus(min(nats, 0.0) - 0.5 * float(off @ np.linalg.solve(mode.covariance, off)))
     return replace(mode, pose=found.pose, covariance=covariance, is_matched=True)
 
 
