@@ -23,7 +23,8 @@ from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.ray_intersection import SAME_PLACE, nearest_walls_plain
+from sensorgraph.world.ray_intersection import SAME_PLACE
+from sensorgraph.world.wall_grid import CORNER
 
 SETTINGS = SCAN.likelihood
 
@@ -186,3 +187,19 @@ def _towards(x: float, y: float, rays: tuple[Floats, ...]) -> tuple[Floats, Floa
     """Return the distance of a place ahead of each ray, and to its left [m]."""
     ox, oy, ux, uy = rays
     return ux * (x - ox) + uy * (y - oy), ux * (y - oy) - uy * (x - ox)
+
+
+def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
+    """Return the result of `nearest_walls`, computed by numpy without a kernel."""
+    a = walls[:, 0]
+    d = walls[:, 1] - a
+    ax, ay = a[:, 0] - ox[:, None], a[:, 1] - oy[:, None]  # (n, n_walls)
+    across = ux[:, None] * d[:, 1] - uy[:, None] * d[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (ax * d[:, 1] - ay * d[:, 0]) / across
+        share = (ax * uy[:, None] - ay * ux[:, None]) / across
+        # nan (parallel) fails the comparison, too
+        r[~((share >= -CORNER) & (share <= 1 + CORNER) & (r >= 0))] = np.inf
+    wall = r.argmin(axis=1)
+    found = r[np.arange(len(r)), wall]
+    return found, np.where(np.isfinite(found), wall, -1)

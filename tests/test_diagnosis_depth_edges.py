@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import further, polygon_arena
-from plain_kernels import plain_corners_between_rays
+from plain_kernels import nearest_walls_plain, plain_corners_between_rays
 from scan_samples import data_of
 
 from logs.run import RangeSensor
@@ -16,7 +16,6 @@ from sensorgraph.diagnosis.scan.corner_sums import corners_between_rays
 from sensorgraph.diagnosis.scan.depth_edges import find_edges
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.ray_intersection import nearest_walls_plain
 from sensorgraph.world.ray_order import is_full_turn, neighbouring_rays
 
 DIRECTION, PLACE = 0.004, 0.01

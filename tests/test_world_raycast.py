@@ -10,10 +10,11 @@ import shapely
 from conftest import polygon_arena
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_kernels import nearest_walls_plain
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from sensorgraph.world.ray_intersection import nearest_after_moves, nearest_walls, nearest_walls_plain
+from sensorgraph.world.ray_intersection import nearest_after_moves, nearest_walls
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses
 from sensorgraph.world.wall_grid import WallGrid, nearest_in_grid
 

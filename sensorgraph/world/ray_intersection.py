@@ -54,23 +54,6 @@ def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats)
     return ranges, wall
 
 
-def nearest_walls_plain(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
-    """Return the result of `nearest_walls`, computed by numpy without a kernel."""
-    a = walls[:, 0]
-    d = walls[:, 1] - a
-    ax, ay = a[:, 0] - ox[:, None], a[:, 1] - oy[:, None]  # (n, n_walls)
-    across = ux[:, None] * d[:, 1] - uy[:, None] * d[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        r = (ax * d[:, 1] - ay * d[:, 0]) / across
-        share = (ax * uy[:, None] - ay * ux[:, None]) / across
-        r[~((share >= -CORNER) & (share <= 1 + CORNER) & (r >= 0))] = (
-            np.inf
-        )  # nan (parallel) fails the comparison too
-    wall = r.argmin(axis=1)
-    found = r[np.arange(len(r)), wall]
-    return found, np.where(np.isfinite(found), wall, -1)
-
-
 def nearest_after_moves(
     walls: Floats, moved: Ints, ox: Floats, oy: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints
 ) -> tuple[Floats, Ints]:

@@ -50,8 +50,6 @@ MARKER_SIGMA = 0.003
 ASKEW_SIGMA = 0.014
 """[rad] standard deviation of the misalignment of a reference that counts as setup: at most 2°, with the bound of all
 tolerances."""
-MAX_CLOCK_SHIFT = 0.02
-"""[s] maximum change of the clock offset at that time."""
 STAMP_AVERAGING = 8.0
 """Ratio of the tolerance of one stamp to the error of the mean over a run."""
 
