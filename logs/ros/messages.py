@@ -77,7 +77,7 @@ def scan_topic(
     ranges: NDArray[Any],
     intensities: NDArray[Any],
 ) -> Topic:
-    """Return a topic with LaserScan messages (n,) in place of its own; stamps and log times in ns, 7 limits."""
+    """Return a topic whose messages are replaced by LaserScan messages (n,); stamps and log times in ns, 7 limits."""
     known = {"intensities": intensities} if np.isfinite(intensities).any() else {}
     columns = {**header(stamps), "limits": limits, "ranges": ranges, **known}
     rows = cdr.pack(SCAN_TYPE, len(stamps), strings={"frame_id": frame}, columns=columns)

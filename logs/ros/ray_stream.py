@@ -6,8 +6,8 @@ at the angle u and the time t
     u = U_k + i s,    t = t_k + i s / w.
 
 Here U_k is the angle of the first ray, unwrapped over the turns, s the step of the bearings, and w the rate of
-rotation, which the stamps t_k of successive scans show. A turn m holds the rays with 2 pi m <= u < 2 pi (m + 1), so
-that each ray has the same bearing and the same time after its stamp in all scans.
+rotation, which the stamps t_k of successive scans show. A turn m holds the rays with 2 pi m <= u < 2 pi (m + 1).
+Then each ray has the same bearing, and the same time after its stamp, in all scans.
 """
 
 from __future__ import annotations
