@@ -302,3 +302,20 @@ def test_the_readings_of_a_sweep_are_those_at_the_stamp_of_its_scan() -> None:
     both = np.isfinite(found)  # no ray looked into the angle by which the robot turned during the sweep
     assert both.mean() > 0.95
     assert np.quantile(np.abs(found - still)[both], 0.9) < 0.01
+
+
+@pytest.mark.parametrize(("believed", "status"), [((4.0, 3.0, 1.0), "off"), ((5.0, 2.0, 0.0), "ambiguous")])
+def test_a_belief_at_none_of_several_possible_poses_is_off(
+    believed: tuple[float, float, float], status: str
+) -> None:
+    tracker = PoseTracker(graph(), GraphReadings(graph(), graph().sensor))
+    scan = Observation(stamp=1.0, ranges=np.full(graph().sensor.n_rays, 2.0), believed=np.array(believed))
+    first = Mode(
+        pose=np.array([5.0, 2.0, 0.0]), covariance=1e-4 * np.eye(3), score=math.log(0.5), number=1, is_matched=True, answered=1.0
+    )  # fmt: skip
+    tracker.elsewhere = -math.inf
+    tracker.modes = [first, replace(first, pose=np.array([1.0, 3.0, 0.5]), number=2)]
+    judge = PoseJudge(tracker)
+    said = [judge.state(scan) for _ in range(5)][-1]
+    assert said.status == status
+    assert "(5.00, 2.00) m" in said.sentence() and "(1.0, 3.0) m" in said.sentence()

@@ -82,7 +82,8 @@ class PoseStatement:
             return f"ambiguous: at {at}, or at {others}"
         if self.status == "off":
             metres, turn = self.offset
-            return f"off by {metres:.2f} m and {math.degrees(turn):.0f}°: the robot is at {at}"
+            elsewhere = "".join(f", or at ({x:.1f}, {y:.1f}) m" for x, y, _ in self.rivals)
+            return f"off by {metres:.2f} m and {math.degrees(turn):.0f}°: the robot is at {at}{elsewhere}"
         return f"ok at {at}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -174,10 +175,10 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
     p = p_ok
     if p_lost > 0.5:
         status, p = "lost", p_lost
+    elif believed is not None and p_off > 0.5:  # at whichever of several poses the robot is
+        status, p = "off", p_off
     elif others and best < 0.9 * (1.0 - p_lost):
         status, p = "ambiguous", 1.0 - best
-    elif believed is not None and p_off > 0.5:
-        status, p = "off", p_off
     if not (is_known and main.is_matched):  # nothing that the graph knows is in sight: no news
         if before == "lost" and np.sqrt(main.covariance[:2, :2].trace()) > priors.tolerance[0]:
             status, p = "lost", max(p_lost, 1.0 - p_ok)

@@ -5,9 +5,14 @@ of readings that the graph can predict, the evidence of one reading is
 
     log((s p + (1 - s) p_0) / p_0),
 
-and the probability that the graph predicts it is s p / (s p + (1 - s) p_0). A ray that the graph does not answer counts
-nothing: its broad density is ignorance. Another pose at which the graph knows a similar wall would beat it by far, since walls
-resemble each other more than the readings of p_0 do.
+and the probability that the graph predicts it is s p / (s p + (1 - s) p_0). Unseen space stops a ray at the rate p_0 / S_0
+(`anywhere`). With the density m of the surfaces that the graph knows, the probability S that none of them is nearer than z, and
+the probability A that unseen space lets the ray pass up to z,
+
+    p = A (m + S p_0 / S_0)   where z ends in unseen space,        p = A m   elsewhere.
+
+A ray that stays in unseen space says nothing: p = p_0. From a pose in unseen space, only rays that the graph answers do: it
+saw the surfaces nearby from their other sides.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from logs.motion import to_ray_starts
 from logs.run import RangeSensor
@@ -29,6 +35,7 @@ from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.likelihood import MIN_DENSITY, information_share
 from sensorgraph.sensor_model import ray_likelihoods
 from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.watching.anywhere import AnyReading, UnseenSpace
 from sensorgraph.watching.settings import READINGS, ReadingPriors
 from sensorgraph.world.ray_order import bearings_text, ray_order
 
@@ -38,7 +45,7 @@ class ReadingEvidence:
     """Evidence of the readings of one scan at poses."""
 
     ratios: Floats
-    """(n_poses, n_rays) [nats]; 0 where the graph does not answer."""
+    """(n_poses, n_rays) [nats]; 0 for a broken reading."""
     known: Bools
     """(n_poses, n_rays) whether the graph answers the ray and the reading is not broken."""
     fits: Floats
@@ -114,11 +121,9 @@ class GraphReadings:
             starts = to_ray_starts(starts[:, None], self.graph.sensor, self.graph.pose_frame)[:, own]
         if expected is None:
             expected = self.graph.predict(self.graph_poses(poses), rays=own)
-        found = self._log_density(z[None], starts, own, expected)
         s, known = self.priors.predicted, expected.answered & ~np.isnan(z)
-        ratios = np.where(
-            known, np.logaddexp(math.log(s) + found - self.log_anywhere(z), math.log(1 - s)), 0.0
-        )
+        ratios = np.logaddexp(math.log(s) + self._log_ratios(z, starts, own, expected), math.log(1 - s))
+        ratios = np.where(np.isnan(z), 0.0, ratios)
         fits = 1.0 - (1.0 - s) * np.exp(-ratios)
         with np.errstate(invalid="ignore"):
             residuals = z - expected.ranges
@@ -137,6 +142,21 @@ class GraphReadings:
         """Return the prediction of `rays` at one pose (3,)."""
         return self.graph.predict(self.graph_poses(pose[None]), rays=self.own)
 
+    def _log_ratios(self, z: Floats, starts: Floats, own: Ints, expected: Prediction) -> Floats:
+        """Return log(p / p_0) (n_poses, n_rays) of readings (n_rays,) [m]."""
+        lasers = self.graph.lasers(starts if starts.ndim == 3 else starts[:, None])
+        headings = np.asarray(lasers[..., 2] + self.graph.sensor.bearings[own])
+        lengths = np.where(np.isposinf(z), self.sensor.range_max, np.nan_to_num(z))
+        ends = lasers[..., :2] + lengths[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=-1)
+        passed = self._unseen.log_passed(lasers[..., :2], headings, lengths)
+        known = self._log_density(z[None], starts, own, expected) - self.anywhere.log_density(z)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            nearer = np.nan_to_num(ndtr((z - expected.mean) / expected.sigma))
+            unseen = np.log1p((expected.p_no_return - 1.0) * nearer) - self.anywhere.log_survival(z)
+        is_unseen = np.isfinite(z) & self._unseen.contains(ends)
+        ratios = passed + np.logaddexp(known, np.where(is_unseen, unseen, -np.inf))
+        return np.where(expected.answered | ~self._unseen.contains(lasers[..., :2]), ratios, 0.0)
+
     def _log_density(self, z: Floats, starts: Floats, own: Ints, expected: Prediction) -> Floats:
         """Return the log-density (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m] that this laser may have."""
         found, _ = ray_likelihoods(self.graph, z, starts, own)
@@ -151,13 +171,6 @@ class GraphReadings:
             return none
         return np.asarray(1.0 - (1.0 - none) * expected.cdf(self.sensor.range_max))
 
-    def log_anywhere(self, z: Floats) -> Floats:
-        """Return the log-density of readings (n,) [m] from anywhere in the place."""
-        index = np.clip(
-            np.searchsorted(self._edges, np.nan_to_num(z, posinf=0.0)) - 1, 0, len(self._density) - 1
-        )
-        return np.asarray(np.log(np.where(np.isposinf(z), self._none, self._density[index])))
-
     def _anywhere(self) -> float:
         """Compute the distribution of readings over poses anywhere in the place; return the evidence of the graph's own."""
         assert isinstance(self.graph.model, Faces | CellModel)
@@ -169,17 +182,13 @@ class GraphReadings:
         repeated = max(round(0.5 / self.priors.independent), 1)  # neighbouring rays show little that is new
         rays = self.own[self.of_pose][::repeated]
         found = self.graph.predict(poses, rays=rays)
-        z = found.ranges[found.answered]
         top = self.sensor.range_max
-        self._edges = np.concatenate([[0.0], np.geomspace(0.3, max(top, 1.0), 30)])
-        counts = np.histogram(z[z < top], self._edges)[0] + 1.0
-        none = float(self._missing(found)[found.answered].sum()) + 1.0
-        total = counts.sum() + none
-        self._density = counts / total / np.diff(self._edges)
-        self._none = max(none / total, 0.02)
+        n_none = float(self._missing(found)[found.answered].sum())
+        self.anywhere = AnyReading.of(found.ranges[found.answered], n_none, top)
+        self._unseen = UnseenSpace.of(corner, side, known, self.anywhere)
         drawn = self.graph.sample(poses, 1, 0, rays=rays, residual_memory=False)[0]
         drawn = np.where(drawn >= top, np.inf, drawn)
         density = self._log_density(drawn, poses, rays, found)
         s = self.priors.predicted
-        ratios = np.logaddexp(math.log(s) + density - self.log_anywhere(drawn), math.log(1 - s))
+        ratios = np.logaddexp(math.log(s) + density - self.anywhere.log_density(drawn), math.log(1 - s))
         return float(ratios[found.answered].mean())

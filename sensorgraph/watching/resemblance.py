@@ -43,7 +43,7 @@ class Resemblance:
 def resemblance_of(found: ReadingEvidence, share: float) -> Resemblance:
     """Return the log-likelihoods of a scan at poses; `share` is the share of independent readings."""
     none = np.eye(len(found.ratios), dtype=np.bool_)
-    other = np.where(none[:, :, None], 0.0, np.where(found.known, found.ratios, 0.0))
+    other = np.where(none[:, :, None], 0.0, found.ratios)
     here, any_share = _likelihoods(found, other, share)
     return Resemblance(
         here=np.where(none, here, np.maximum(here, any_share)), elsewhere=np.diag(any_share).copy()
@@ -65,7 +65,6 @@ def _likelihoods(found: ReadingEvidence, other: Floats, share: float) -> tuple[F
     own, holds = found.ratios[:, None], found.answered[:, None, None]
     doubted = np.log(holds * np.exp(own) + (1.0 - holds) * np.exp(other))
     ratios = np.where(own > 0.0, np.maximum(own, other), doubted)
-    ratios = np.where(found.known[:, None], ratios, other)
     q, weights = 0.5 * (NODES + 1.0), 0.5 * WEIGHTS
     odds = np.maximum((np.exp(ratios) - 1.0) / found.predicted, -1.0)  # R - 1
     scans = share * np.array([np.log1p(each * odds).sum(axis=2) for each in q])  # (24, n_poses, n)
