@@ -44,17 +44,8 @@ class Mode:
     """Share of the rays that the graph answers."""
     evidence: float = 0.0
     """[nats] Mean evidence of the answered readings of the last scan."""
-    alone: float = 0.0
-    """[m] Distance driven where the graph does not answer its rays or the scan does not match, less that where it does.
-
-    A pose that a search found has that of the mode that was followed up to there."""
-    moved: float = 0.0
-    """[m] Distance driven since the last scan."""
     handicap: float = 0.0
     """[nats] By which its prior was reduced as a belief that contradicts the tracking; 0 once it was the probable pose."""
-    is_found: bool = False
-    """Whether a search found it, and it was not the probable pose since. It is where the readings fit best among all places, so
-    that its unknown surroundings are not free to resemble yet another one."""
     resembles: Mapping[int, float] = field(default_factory=dict)
     """Number of another mode -> log-odds that what the graph does not know here resembles the surroundings there, against any."""
 
@@ -102,8 +93,6 @@ class Mode:
 
     def resembling(self, number: int, odds: float) -> Mode:
         """Return the mode if its unknown surroundings may resemble those of a new one, with log-odds by the recent scans."""
-        if self.is_found:
-            return self
         known = np.logaddexp.reduce([0.0, *self.resembles.values()])
         score = self.score + float(np.logaddexp(known, odds) - known)
         return replace(self, score=score, resembles={**self.resembles, number: odds})
@@ -191,19 +180,13 @@ def weighed(
     others = max(weight * priors.independent_distance / priors.surroundings, 1e-9)
     out = []
     for k, mode in enumerate(modes):
-        answered, moved = float(found.answered[k]), mode.moved
-        is_known = mode.is_matched and answered > priors.answered
         numbers = [other.number for other in modes]
-        is_found = mode.is_found and mode.score < math.log(PROBABLE)
-        gain, resembles = weight * float(gains.here[k, k]), dict[int, float]()
-        if not is_found:
-            gain, resembles = _in_surroundings(mode, numbers, weight * gains.here[k], others, log_places)
+        gain, resembles = _in_surroundings(mode, numbers, weight * gains.here[k], others, log_places)
         out.append(
             replace(
                 mode, score=mode.score + gain, alike=mode.alike + weight * float(gains.elsewhere[k]),
-                answered=answered, evidence=float(evidence[k]), resembles=resembles,
-                handicap=0.0 if mode.score > math.log(PROBABLE) else mode.handicap, is_found=is_found,
-                alone=max(mode.alone - moved, 0.0) if is_known else mode.alone + moved,
+                answered=float(found.answered[k]), evidence=float(evidence[k]), resembles=resembles,
+                handicap=0.0 if mode.score > math.log(PROBABLE) else mode.handicap,
             )
         )  # fmt: skip
     return out
@@ -303,7 +286,6 @@ def found_mode(
     score, alike = scores.tolist()
     mode = Mode(
         pose=pose, covariance=covariance, score=score, alike=alike, number=number, is_matched=True,
-        alone=0.0 if main is None else main.alone, is_found=True,
     )  # fmt: skip
     return mode, odds
 

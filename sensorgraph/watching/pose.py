@@ -159,14 +159,14 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
         if mode is not main and p > RIVAL * best
     ]  # fmt: skip
     p_ok, offset = best, (0.0, 0.0)
-    is_known = main.answered >= priors.answered and main.alone < priors.alone
+    is_known = main.answered >= priors.answered and tracker.alone < priors.alone
     if believed is not None:
         moved = np.abs(tracker.velocity) * priors.stamp
         near = np.array([_p_near(mode, believed, moved, priors) for mode in modes])
         # the prior of a belief that contradicts the tracking is no evidence, only what the readings add to it
         is_near = float((probabilities * np.exp([mode.handicap for mode in modes])) @ near)
         p_near = is_near / max(is_near + float(probabilities @ (1.0 - near)), 1e-9)
-        is_news = main.is_matched and main.alone < priors.alone
+        is_news = main.is_matched and tracker.alone < priors.alone
         known = min(main.answered / priors.answered, 1.0) if is_news else 0.0
         offset = apart(main.pose, believed)
         p_ok = (1.0 - p_lost) * (1.0 - judge.p_off(p_near, known, offset))

@@ -89,6 +89,9 @@ class PoseTracker:
         self.drift, self.velocity = np.zeros(3), np.zeros(3)
         self.error, self.slip = np.zeros(3), np.zeros(3)
         """[m/s, m/s, rad/s] Error of the odometry's speed in the last step, and in both of the last two: slip lasts."""
+        self.alone = 0.0
+        """[m] Distance driven where the graph does not answer the rays or the scan does not match, less that where it does, at most
+        twice the distance after which the believed pose is as probable as ours: after as much where it does, it is not."""
         self.n_searches = 0
         self._last: Observation | None = None
         self._numbers = count(1)
@@ -154,7 +157,10 @@ class PoseTracker:
         self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
         self._add_belief(now)
         self._weigh(now, dt)
-        main = self.main
+        main, moved = self.main, float(np.hypot(step[0], step[1]))
+        if main is not None:
+            is_known = main.is_matched and main.answered > s.answered
+            self.alone = max(self.alone - moved, 0.0) if is_known else min(self.alone + moved, 2.0 * s.alone)
         self.kept.add(now, fits=main is not None and main.evidence > FITTING * self.usual)
         if self.missing > self.limit:
             self._search()
@@ -174,7 +180,7 @@ class PoseTracker:
             for other in (mode.pose, compose(mode.pose, self.velocity * min(dt, 0.5))):
                 wide = covariance + np.diag(np.asarray(self.priors.start_deviations) ** 2)
                 found = found or matched(self.place, other, wide, now)
-        moved = replace(mode, pose=pose, covariance=covariance, moved=float(np.hypot(step[0], step[1])))
+        moved = replace(mode, pose=pose, covariance=covariance)
         return corrected(moved, found)
 
     def _add_belief(self, now: ScanInput) -> None:
@@ -189,8 +195,7 @@ class PoseTracker:
         elif any(mode.is_at(believed, self.priors.tolerance) for mode in self.modes):
             return
         else:
-            is_alone = self.main is not None and self.main.alone > s.alone
-            score = math.log(0.5 if is_alone else s.belief)
+            score = math.log(0.5 if self.alone > s.alone else s.belief)
             alike, handicap = alike + score, -score
         covariance = np.diag(np.asarray(s.start_deviations) ** 2)
         mode = Mode(
