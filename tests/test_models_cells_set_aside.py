@@ -10,9 +10,34 @@ import pytest
 from test_models_cells import BEARINGS, a_table, room, scans_of, some_poses
 
 from sensorgraph.models.cells.distribution import NORMAL_TAILS, fit_tails
-from sensorgraph.models.cells.learning import SetAside, is_set_aside, n_folds_of
+from sensorgraph.models.cells.evidence import CellEvidence
+from sensorgraph.models.cells.grid import GridWindow
+from sensorgraph.models.cells.learning import SetAside, is_set_aside, n_folds_of, training_samples
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.probability_calibration import KNOTS, calibrate_p_off, fit_spread
+from sensorgraph.models.cells.ray_march import tabulate
+from sensorgraph.models.cells.set_aside import shipped_visibility
+
+
+def test_rays_that_leave_the_window_meet_cells_that_no_ray_crossed() -> None:
+    """Set-aside scans are taken beyond the other ones: a window that covers their rays gives the same samples."""
+    rng = np.random.default_rng(5)
+    near, aside = (
+        some_poses(rng, 20),
+        np.array([[6.013, 2.027, 0.05], [2.017, 9.023, 1.51], [-5.011, -5.019, 0.71]]),
+    )
+    evidence = CellEvidence.of(near, np.minimum(room(near), 2.0), BEARINGS, cell=0.05, reach=3.0)
+    around = GridWindow.around(np.vstack([near[:, :2], aside[:, :2]]), 3.0, 0.05)
+    beta, spread = np.array(shipped_visibility()), (0.01, 0.0, 0.01)
+    found = []
+    for window in (evidence.window, evidence.window.grown(around)):
+        kept = replace(evidence, window=window).widened()
+        ranges = np.full((3, 91), np.inf)
+        found.append(training_samples(kept, aside, ranges, BEARINGS, tabulate(kept, beta, spread)))
+    for own, other in zip(*found, strict=True):
+        assert len(own) > 10_000
+        np.testing.assert_allclose(own, other, atol=1e-6)
+    assert np.isfinite(found[0][0]).all()
 
 
 def test_spread_about_faces_is_found() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from planners.kernel import kernel
 from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import CellIndices, max_cells_met, per_ray, sector_of, traverse
-from sensorgraph.models.cells.ray_march import RATES, CellTable, face_range
+from sensorgraph.models.cells.ray_march import RATES, CellTable, face_range, row_of
 from sensorgraph.models.cells.settings import CELLS
 from sensorgraph.models.cells.visibility import Floats32, expand_products, features
 from sensorgraph.models.stretches import N_FOLDS, N_STRETCHES
@@ -67,7 +67,8 @@ def list_at_risk(
 ) -> int:  # fmt: skip
     """List every cell that a ray reached; poses (n, n_rays or 1, 3) of the laser.
 
-    Fills row, sector, label and weight of up to len(rows) samples, and returns their number. The label is the
+    Fills row, sector, label and weight of up to len(rows) samples, and returns their number. The row of a cell that no other
+    ray crossed is -1; such cells may lie outside the table. The label is the
     probability that the cell stopped the ray, given that no cell before it did. The weight is the probability that no
     cell before it did; a pass counts in proportion to its chord. A return that no cell near its end explains gives no
     samples.
@@ -93,7 +94,7 @@ def list_at_risk(
                 return n
             before, unexplained, total = 0.0, 1.0, 0.0
             for k in range(n_steps):
-                row = table.rows[at[k, 0], at[k, 1]]
+                row = row_of(at[k, 0], at[k, 1], table)
                 chord = ends[k] - before
                 stop[k] = 0.0
                 if hit and ends[k] > z - CANDIDATE_DISTANCE:
@@ -118,7 +119,7 @@ def list_at_risk(
                     break
                 share = stop[k] / total if hit else 0.0
                 current = min(share / at_risk, 1.0)
-                rows[n], sectors[n] = table.rows[at[k, 0], at[k, 1]], b
+                rows[n], sectors[n] = row_of(at[k, 0], at[k, 1], table), b
                 weight[n] = at_risk * (current + (1.0 - current) * chord / table.cell)
                 label[n] = at_risk * current / weight[n]
                 at_risk -= share

@@ -171,6 +171,14 @@ def insert_merged(
     return insert_candidate(mean, total, width, unknown, n, r, w, sigma, unseen)
 
 
+@inner_kernel
+def row_of(i: int, j: int, table: CellTable) -> int:
+    """Return the row of cell (i, j); -1 for one that no ray crossed, as all outside the window."""
+    if 0 <= i < table.rows.shape[0] and 0 <= j < table.rows.shape[1]:
+        return int(table.rows[i, j])
+    return -1
+
+
 @outer_kernel
 def stop_candidates(
     x: float, y: float, c: float, s: float, table: CellTable, work: RayWork
@@ -190,9 +198,7 @@ def stop_candidates(
     merged, first, second = 0.0, 0.0, 0.0  # sums of w, w c and w c² of the cells to merge
     for k in range(n_steps):
         i, j = at[k]
-        row = -1
-        if 0 <= i < table.rows.shape[0] and 0 <= j < table.rows.shape[1]:
-            row = table.rows[i, j]
+        row = row_of(i, j, table)
         chord = ends[k] - before
         rate = RATES[table.rate[row, b]] if ends[k] > MIN_RANGE else 0.0  # shorter ranges are not used
         x = rate * chord

@@ -242,10 +242,7 @@ def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
     """Return the logits (n_rows + 1, 16) of all cells and sectors; the last row is an unobserved cell."""
     places = evidence.window.places()
     out = np.empty((evidence.n_rows + 1, N_SECTORS), dtype=np.float32)
-    unseen = np.zeros(N_FEATURES, dtype=np.float32)
-    unseen[[27, 28, 39]] = 1.0
-    unseen[[29, 30]] = math.log(PRIOR_HITS / PRIOR_PASSES)
-    out[-1] = evaluate_logit(unseen, beta, PAIRS)
+    out[-1] = evaluate_logit(unobserved_features(), beta, PAIRS)
     column = np.empty(evidence.n_rows, dtype=np.float32)
     for b, raw, logs in sector_maps(evidence, places):
         fill_logits(places, evidence.window.index, raw, logs, neighbour_offsets(b), beta, PAIRS, column)
@@ -253,12 +250,20 @@ def logits(evidence: CellEvidence, beta: Floats) -> Floats32:
     return out
 
 
+def unobserved_features() -> Floats32:
+    """Return the features (40,) of a cell that no ray crossed."""
+    found = np.zeros(N_FEATURES, dtype=np.float32)
+    found[[27, 28, 39]] = 1.0
+    found[[29, 30]] = math.log(PRIOR_HITS / PRIOR_PASSES)
+    return found
+
+
 def features(evidence: CellEvidence, rows: CellIndices, sectors: CellIndices) -> Floats32:
-    """Return the features (n, 40) of cells in rows (n,) for sectors (n,)."""
+    """Return the features (n, 40) of cells in rows (n,) for sectors (n,); row -1 is a cell that no ray crossed."""
     places = evidence.window.places()
-    out = np.empty((len(rows), N_FEATURES), dtype=np.float32)
+    out = np.tile(unobserved_features(), (len(rows), 1))
     for b, raw, logs in sector_maps(evidence, places):
-        here = np.flatnonzero(sectors == b)
+        here = np.flatnonzero((sectors == b) & (rows >= 0))
         part = np.empty((len(here), N_FEATURES), dtype=np.float32)
         fill_all_features(places[rows[here]], evidence.window.index, raw, logs, neighbour_offsets(b), part)
         out[here] = part
