@@ -1,6 +1,6 @@
-"""Do drawn scans have the memory of recorded ones? Spectra, lengths of bursts, correlation in time and of neighbours.
+"""Do drawn scans have the memory of recorded ones? Lengths of bursts, correlation in time and of neighbours.
 
-    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.residual_memory GRAPH RUN [--scans 4000] [-o PICTURE.png]
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.residual_memory GRAPH RUN [--scans 4000]
 
 RUN is a log with poses, such as `sensorgraph locate intel.clf.bz2 -o intel.mcap` writes, GRAPH one of its place. The memory
 is identified on the first half of the scans; the second half is drawn from the graph at its own poses, without a memory and
@@ -9,11 +9,9 @@ with it, and compared with what was recorded. Events are returns that are missin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import welch
 
 from benchmarks.arguments import parser_of
 from logs import read
@@ -34,12 +32,11 @@ SEED = 1
 
 
 def main() -> None:
-    """Print the table and draw the picture."""
+    """Print the table."""
     parser = parser_of(__doc__)
     parser.add_argument("graph", type=Path)
     parser.add_argument("run", type=Path)
     parser.add_argument("--scans", type=int, default=4000)
-    parser.add_argument("-o", "--out", type=Path)
     arguments = parser.parse_args()
     graph, run = Sensorgraph.load(arguments.graph), read(arguments.run)
     scans = np.flatnonzero(pair(run).paired)[: arguments.scans]
@@ -60,12 +57,9 @@ def main() -> None:
         "drawn with memory": _drawn(graph, poses[later], memory, places[later], stamps[later]),
     }
     found = {name: _statistics(values, said, later, index[later]) for name, values in worlds.items()}
-    labels = [label for label in next(iter(found.values())) if not label.startswith("_")]
     print("| | " + " | ".join(found) + " |\n|---|" + "---:|" * len(found))
-    for label in labels:
+    for label in found["recorded"]:
         print(f"| {label} | " + " | ".join(f"{values[label]:.3f}" for values in found.values()) + " |")
-    if arguments.out is not None:
-        _draw(found, arguments.out)
 
 
 def _index(run: Run, scans: np.ndarray) -> np.ndarray:
@@ -90,13 +84,13 @@ def _drawn(
     return model.draw(poses, uniform, normal)
 
 
-def _statistics(ranges: Floats, said: Prediction, rows: slice, index: np.ndarray) -> dict[str, object]:
+def _statistics(ranges: Floats, said: Prediction, rows: slice, index: np.ndarray) -> dict[str, float]:
     part = events_of(ranges, said.mode[rows], said.p_no_return[rows], said.p_off[rows])
     event, residual = part["event"] - part["chance"], part["residual"]
     residual = residual - np.nanmean(residual, axis=0)
     lengths = _bursts(part["event"], index)
     lost = _bursts(np.isposinf(ranges).astype(float), index)
-    out: dict[str, object] = {
+    out = {
         "events, share": float(np.nanmean(part["event"])),
         "length of a burst of events, mean [scans]": float(lengths.mean()),
         "bursts of 3 scans or more, share": float((lengths >= 3).mean()),
@@ -105,13 +99,10 @@ def _statistics(ranges: Floats, said: Prediction, rows: slice, index: np.ndarray
         "events of neighbours, correlation": _correlation(event[:, 1:], event[:, :-1]),
         "noise of neighbours, correlation": _correlation(residual[:, 1:], residual[:, :-1]),
     }
-    for lag in LAGS:
-        follows = index[lag:] - index[:-lag] == lag
-        out[f"events, ACF at {lag}"] = _correlation(event[lag:][follows], event[:-lag][follows])
-    for lag in LAGS:
-        follows = index[lag:] - index[:-lag] == lag
-        out[f"noise, ACF at {lag}"] = _correlation(residual[lag:][follows], residual[:-lag][follows])
-    out["_lengths"], out["_event"], out["_noise"] = lengths, np.nan_to_num(event), np.nan_to_num(residual)
+    for name, values in (("events", event), ("noise", residual)):
+        for lag in LAGS:
+            follows = index[lag:] - index[:-lag] == lag
+            out[f"{name}, ACF at {lag}"] = _correlation(values[lag:][follows], values[:-lag][follows])
     return out
 
 
@@ -130,35 +121,6 @@ def _bursts(event: Floats, index: np.ndarray) -> np.ndarray:
         out.append(np.bincount(number[column])[1:] if column.any() else np.zeros(0, dtype=int))
     lengths = np.concatenate(out)
     return lengths[lengths > 0]
-
-
-def _draw(found: Mapping[str, dict[str, object]], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    fig, axes = plt.subplots(1, 4, figsize=(18, 4.2), layout="constrained")
-    for (name, values), style in zip(found.items(), ("k-", "C1--", "C0-"), strict=True):
-        lengths = np.sort(np.asarray(values["_lengths"]))
-        axes[0].loglog(lengths, 1.0 - np.arange(len(lengths)) / len(lengths), style, label=name)
-        for ax, key in ((axes[1], "events"), (axes[2], "noise")):
-            ax.plot(LAGS, [values[f"{key}, ACF at {lag}"] for lag in LAGS], style, marker="o", label=name)
-        f, power = welch(np.asarray(values["_event"]), nperseg=256, axis=0)
-        axes[3].loglog(f[1:], power.mean(axis=1)[1:], style, label=name)
-    titles = (
-        "bursts of events: share as long or longer",
-        "events: autocorrelation",
-        "noise of returns: autocorrelation",
-        "events: power spectrum",
-    )
-    names = ("length [scans]", "lag [scans]", "lag [scans]", "frequency [1/scan]")
-    for ax, title, label in zip(axes, titles, names, strict=True):
-        ax.set(title=title, xlabel=label)
-        ax.grid(alpha=0.3)
-    axes[0].legend()
-    fig.savefig(path, dpi=110)
-    print(f"wrote {path}")
 
 
 if __name__ == "__main__":

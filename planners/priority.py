@@ -3,7 +3,7 @@
 Robots that turn in place complete one band of cells after the other. Cars cannot turn within a band: with
 bands of cells their drive took 50 % longer and visited the high-priority bins no earlier. Cars therefore take
 the rooms by mean priority, and within a room the bins of high priority have a higher value. The constants
-were set with `python -m benchmarks.doubt_first`.
+were set with `python -m benchmarks.plan_options priority`.
 """
 
 from __future__ import annotations

@@ -19,10 +19,10 @@ from planners.task import PlannedDrive, Task
 
 OPEN_SHARE = 0.25
 """Maximum share of missing bins after earlier runs; cells above it are covered again as a whole
-(`python -m benchmarks.resumed`)."""
+(`python -m benchmarks.plan_options resume`)."""
 SCATTERED_SHARE = 0.75
 """If more than half of the missing bins are in cells with at most this share missing, stops are planned
-instead of a search (`python -m benchmarks.resumed`)."""
+instead of a search (`python -m benchmarks.plan_options resume`)."""
 
 
 def plan_coverage(task: Task) -> PlannedDrive:

@@ -12,7 +12,7 @@ from planners.types import Bools, Floats, Ints
 
 MIN_INNER_SHARE = 0.12
 """Minimum reachable share of a cell's inner half for its bins to count only there; else they count everywhere
-(`python -m benchmarks.tracking_error`)."""
+(`python -m benchmarks.plan_options margin`)."""
 MARGIN_CELLS = 8
 """Number of cells around a room in which the search may drive."""
 
