@@ -1,4 +1,4 @@
-"""A ROS 2 robot on zenoh, as rmw_zenoh publishes, for tests and `benchmarks.live_recording`.
+"""A ROS 2 robot on zenoh, as rmw_zenoh publishes, for tests and `benchmarks.infrastructure`.
 
 Plain zenoh, and messages packed by hand: no code in common with what listens.
     python -m benchmarks.zenoh_robot --port 7447 --duration 60

@@ -55,7 +55,7 @@ logger = logging.getLogger(__name__)
 messages = partial(messages_of, walk_of=RecordWalk)
 CHUNK_SIZE = (
     64 * 1024
-)  # [bytes] maximum loss in a crash; 1 MiB would make files 7 % smaller (benchmarks/mcap_speed.py)
+)  # [bytes] maximum loss in a crash; 1 MiB would make files 7 % smaller (`python -m benchmarks.infrastructure mcap`)
 MEDIA_TYPES = {
     ".geojson": "application/geo+json",
     ".json": "application/json",

@@ -26,7 +26,8 @@ from sensorgraph.models.faces.visibility import Rays
 from sensorgraph.types import Floats
 
 SCANS_PER_BLOCK = 8192
-"""Number of scans in a block; like the numbers of rays, it was set by time and memory (`python -m benchmarks.build_speed`)."""
+"""Number of scans in a block; like the numbers of rays, it was set by time and memory
+(`python -m benchmarks.infrastructure build`)."""
 MAX_SAMPLED_RAYS = 1_500_000
 """Number of collected rays that are sampled, spread evenly over places and directions."""
 MAX_COLLECTED_RAYS = 2 * MAX_SAMPLED_RAYS
