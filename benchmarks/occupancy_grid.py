@@ -248,14 +248,10 @@ def line(label: str, result: Evaluation, seconds: float) -> str:
 
 
 def compare(run: Run, name: str, split: str) -> None:
-    """Print our model and the grid on the scans that the split holds out."""
+    """Print the maps on the scans that the split holds out."""
     scans = scans_of(run, split)
     print(f"{name}, {split}: {len(scans[0])} scans to train, {run.sensor.n_rays} rays")
     print(f"{'':<34}" + "".join(f"{column:>13}" for column in SCORE_COLUMNS) + f"{'fit [s]':>9}")
-    for model in ("polynomial", "cells"):
-        with timed() as took:
-            graph = build([run], model=model, split=split)
-        print(line(model, evaluate(graph, run, split=split, cap=MAX_HIT), took.wall))
     for kind in (Grid, Tsdf):
         for label, threshold in tuned(kind, *scans).items():
             with timed() as took:

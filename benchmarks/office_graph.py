@@ -1,6 +1,6 @@
 """How well a graph of an office predicts, with intervals over arenas and seeds, and how small and fast it is.
 
-    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.office_graph [--arenas office,1,2,3,4,5] [--seeds 0,1] [--poses 1000]
+    OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 python -m benchmarks.office_graph [--seeds 0,1]
 
 The shipped office and random ones (`benchmarks/offices.py`), 181 rays over half a turn, sigma 1 cm, exact poses. A graph
 is built from poses chosen by `sensorgraph.planning.views.choose_views` and from as many drawn evenly; it is asked for 2,000 fresh
@@ -33,7 +33,7 @@ SENSOR = RangeSensor(
 )
 WALL_CLEARANCE = 0.2  # [m] that poses keep from walls
 CANDIDATES_PER_VIEW = 5  # for each view
-N_FRESH_POSES = 2000
+ARENAS, N_POSES, N_FRESH_POSES = ("office", "1", "2", "3", "4", "5"), 1000, 2000
 REPEATS = 5  # of a prediction; the fastest counts
 
 
@@ -129,19 +129,17 @@ def size_of(graph: Sensorgraph) -> float:
 def main() -> None:
     """Build, ask, print a row for each graph and the means."""
     parser = parser_of(__doc__)
-    parser.add_argument("--arenas", default="office,1,2,3,4,5")
     parser.add_argument("--seeds", default="0,1")
-    parser.add_argument("--poses", type=int, default=1000)
     options = parser.parse_args()
     measure(arena_named("office"), 100, 0, planned=False)  # compiles
     print("| poses | arena, seed | " + " | ".join(label for label, _, _ in GRAPH_COLUMNS.values()) + " |")
     print("|---|---" + "|---:" * len(GRAPH_COLUMNS) + "|")
     for planned in (True, False):
-        kind = f"{options.poses:,} {'planned' if planned else 'uniform'}"
+        kind = f"{N_POSES:,} {'planned' if planned else 'uniform'}"
         rows: list[GraphScore] = []
-        for name in options.arenas.split(","):
+        for name in ARENAS:
             for seed in map(int, options.seeds.split(",")):
-                rows.append(measure(arena_named(name), options.poses, seed, planned=planned))
+                rows.append(measure(arena_named(name), N_POSES, seed, planned=planned))
                 cells = [
                     f"{scale * getattr(rows[-1], key):.{d}f}" for key, (_, scale, d) in GRAPH_COLUMNS.items()
                 ]

@@ -88,16 +88,6 @@ def line(label: str, result: Evaluation, seconds: float) -> str:
     return f"{label:<34}{values}{result.answered:>10.3f}{near:>12.3f}{seconds:>8.1f}"
 
 
-def calibration(result: Evaluation) -> str:
-    """Return said -> seen (share of rays) of the bins of the chance of being off, and the largest difference."""
-    rows = [row for row in result.calibration if row["n"] >= 0.01 * result.n_rays]
-    bins = ", ".join(
-        f"{row['said']:.2f} -> {row['seen']:.2f} ({row['n'] / result.n_rays:.0%})" for row in rows
-    )
-    worst = max(abs(row["said"] - row["seen"]) for row in rows)
-    return f"  off by > 5 cm, said -> seen: {bins}; largest difference {100 * worst:.1f} points"
-
-
 def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
     """Print the table."""
     heads = "".join(f"{name:>12}" for name in LOG_COLUMNS)
@@ -107,7 +97,6 @@ def compare(logs: list[TrainingLog], split: str, *, others: bool) -> None:
             graph = build([log.run], model="cells", split=split)
         result = evaluate(graph, log.run, split=split, cap=10.0)
         print(line(log.name, result, took.cpu))
-        print(calibration(result))
         if others:
             beta = learned_from([other for other in logs if other is not log])
             evidence = CellEvidence.of(log.poses, log.ranges, log.run.sensor.bearings).widened()

@@ -17,7 +17,7 @@ import numpy as np
 import shapely
 
 from benchmarks.arguments import parser_of
-from benchmarks.measures import timed
+from benchmarks.measures import half_interval, timed
 from benchmarks.places import arena_named
 from logs.run import RangeSensor
 from planners.arena import Arena
@@ -31,6 +31,7 @@ STATED = np.array([0.10, 0.0, 0.0])  # [m, m, rad] mount as the robot file says
 OFFSET = np.array([0.050, 0.020, np.radians(0.5)])
 POSE_NOISE = {"laser": (0.0, 0.0), "laser-poses": (0.005, np.radians(0.2))}  # [m, rad]
 N_SCANS = 3000
+OFFICES = (101, 102, 103, 104, 105)
 BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, 181)
 LASER_COLUMNS = ("within 3σ %", "median mm", "mean mm", "within 10 cm %", "wrong >5cm %")
 
@@ -94,7 +95,7 @@ def trial(which: str, case: str) -> dict[str, Floats]:
     rng = np.random.default_rng([0, 40])
     arena = arena_named(which)
     laser = Laser.drawn(rng)
-    poses, fresh = free_poses(arena, N_SCANS, rng), free_poses(arena, 3000, rng)
+    poses, fresh = free_poses(arena, N_SCANS, rng), free_poses(arena, N_SCANS, rng)
     ranges = laser.readings(arena, poses) + rng.normal(0, LASER_SIGMA, (N_SCANS, len(BEARINGS)))
     xy, yaw = POSE_NOISE[case]
     poses = poses + rng.normal(0, 1, poses.shape) * [xy, xy, yaw]
@@ -116,34 +117,23 @@ def trial(which: str, case: str) -> dict[str, Floats]:
     }
 
 
-def table(rows: dict[str, list[Floats]]) -> str:
-    """Write means and 95 % intervals over trials."""
-    lines = ["".ljust(24) + "".join(name.rjust(22) for name in LASER_COLUMNS)]
-    for name, values in rows.items():
-        array = np.array(values)
-        half = 1.96 * array.std(axis=0, ddof=1) / np.sqrt(len(array)) if len(array) > 1 else 0 * array[0]
-        lines.append(
-            name.ljust(24)
-            + "".join(f"{m:.3f} ± {h:.3f}".rjust(22) for m, h in zip(array.mean(axis=0), half, strict=True))
-        )
-    return "\n".join(lines)
-
-
 def main() -> None:
     """Run the trials and print the table."""
     parser = parser_of(__doc__)
-    parser.add_argument("--offices", type=int, nargs="+", default=[101, 102, 103, 104, 105], metavar="SEED")
     parser.add_argument("--case", default="laser", choices=list(POSE_NOISE))
     args = parser.parse_args()
     rows: dict[str, list[Floats]] = {}
-    for office in args.offices:
+    for office in OFFICES:
         for name, values in trial(str(office), args.case).items():
             rows.setdefault(name.split(" (")[0], []).append(values)
             print(
                 f"  {name}: " + ", ".join(f"{c} {v:.3f}" for c, v in zip(LASER_COLUMNS, values, strict=True))
             )
-    print(f"case {args.case}, {N_SCANS} scans, mean ± 95 % over {len(rows['faces'])} trials")
-    print(table(rows))
+    print(f"case {args.case}, {N_SCANS} scans, mean ± 95 % over {len(OFFICES)} offices")
+    print("| | " + " | ".join(LASER_COLUMNS) + " |\n|---|" + "---:|" * len(LASER_COLUMNS))
+    for name, found in rows.items():
+        cells = zip(np.mean(found, axis=0), half_interval(np.array(found)), strict=True)
+        print(f"| {name} | " + " | ".join(f"{mean:.3f} ± {half:.3f}" for mean, half in cells) + " |")
 
 
 if __name__ == "__main__":
