@@ -15,7 +15,7 @@ from benchmarks.hidden_effects.worlds.blind.drive import Driven
 from benchmarks.hidden_effects.worlds.blind.effects import Hidden
 from benchmarks.hidden_effects.worlds.blind.logged import Convention, count, observe
 from benchmarks.hidden_effects.worlds.blind.marks import Mark, channel_of
-from benchmarks.hidden_effects.worlds.blind.placing import PLACED, Scenery, place
+from benchmarks.hidden_effects.worlds.blind.placing import PLACED, place
 from benchmarks.hidden_effects.worlds.blind.robots import TOLERANCES
 from benchmarks.hidden_effects.worlds.blind.scans import Scans, scan
 from benchmarks.hidden_effects.worlds.blind.scene import Leg, walkers
@@ -76,17 +76,7 @@ def draw(
     clearance = least_clearance(setup, driven)
     check_variety(setup, driven)
     plain_scans = _scan(setup, driven, {})
-    scenery = Scenery(
-        room=setup.room,
-        built=setup.built_plain,
-        robot=setup.robot,
-        driven=driven,
-        scans=plain_scans,
-        hidden=setup.hidden,
-        duration=setup.duration,
-        plain=not is_dirty or spec.suite == "pairs",
-    )
-    legs = _place(setup, scenery, rng)
+    legs = _place(setup, driven, plain_scans, rng, plain=not is_dirty or spec.suite == "pairs")
     scans = _scan(setup, driven, setup.hidden, legs)
     if "people" in setup.hidden:
         setup.hidden["people"].values = {"p": float(round(scans.person_share, 5))}
@@ -152,11 +142,13 @@ def draw(
     )
 
 
-def _place(setup: Setup, scenery: Scenery, rng: np.random.Generator) -> tuple[Leg, ...]:
+def _place(
+    setup: Setup, driven: Driven, scans: Scans, rng: np.random.Generator, *, plain: bool
+) -> tuple[Leg, ...]:
     """Place what depends on the run; return the legs of people."""
     for name in PLACED:
         if name in setup.hidden:
-            place(scenery, setup.hidden[name], rng)
+            place(setup, driven, scans, setup.hidden[name], rng, plain=plain)
     if "min_range" in setup.hidden:
         missing = -np.inf if setup.is_dirty else np.inf  # data sheets differ in how they tell it
         setup.hidden["min_range"].shapes["missing"] = np.array(missing)
@@ -164,7 +156,7 @@ def _place(setup: Setup, scenery: Scenery, rng: np.random.Generator) -> tuple[Le
         return ()
     n_people = int(rng.integers(1, 4))
     walk_rng = np.random.default_rng([setup.seed, 8])
-    return walkers(walk_rng, setup.planner.free, scenery.driven, setup.duration, n_people)
+    return walkers(walk_rng, setup.planner.free, driven, setup.duration, n_people)
 
 
 def _scan(setup: Setup, driven: Driven, hidden: dict[str, Hidden], legs: tuple[Leg, ...] = ()) -> Scans:

@@ -9,13 +9,13 @@ import shapely
 
 from benchmarks.hidden_effects.case import Redraw
 from benchmarks.hidden_effects.geometry import largest_part
-from benchmarks.hidden_effects.worlds.blind.base import Base, X, Y
+from benchmarks.hidden_effects.log import Floats
+from benchmarks.hidden_effects.worlds.blind.base import Base, V, X, Y
 from benchmarks.hidden_effects.worlds.blind.changes import changed_room, jittered, put_fence, shove
 from benchmarks.hidden_effects.worlds.blind.drive import STYLES, Driven, Link, Planner, drive
-from benchmarks.hidden_effects.worlds.blind.effects import DRAWS, NEEDS_GAP, Hidden
+from benchmarks.hidden_effects.worlds.blind.effects import DRAWS, NEEDS_GAP, Hidden, material_size, rounded
 from benchmarks.hidden_effects.worlds.blind.logged import Convention
 from benchmarks.hidden_effects.worlds.blind.marks import travelled
-from benchmarks.hidden_effects.worlds.blind.placing import place_slip
 from benchmarks.hidden_effects.worlds.blind.robots import Robot, draw_robot, robots_for
 from benchmarks.hidden_effects.worlds.blind.rooms import PLANS, Room, draw_room
 from benchmarks.hidden_effects.worlds.blind.scans import Flaws
@@ -160,6 +160,31 @@ def draw_convention(setup: Setup, rate_rng: np.random.Generator) -> Convention:
         phase=phase,
         skew=skew,
     )
+
+
+def visited(
+    driven: Driven, radius: float, n: int, rng: np.random.Generator, *, moving: bool = False
+) -> Floats:
+    """Draw places (n, 2) [m] on the way, those first where the robot is within a radius [m] for longest."""
+    log = driven.log[::50]
+    if moving:
+        log = log[np.abs(log[:, V]) > 0.05]
+    places = log[rng.choice(len(log), n)][:, [X, Y]]
+    shares = [(np.hypot(*(log[:, [X, Y]] - place).T) < radius).mean() for place in places]
+    return np.asarray(places[np.argsort(shares)[::-1]])
+
+
+def place_slip(hidden: Hidden, driven: Driven, rng: np.random.Generator) -> None:
+    """Put a slippery patch where the robot drives often."""
+    radius = rounded(rng.uniform(0.4, 0.75), 3)
+    x, y = visited(driven, radius, 60, rng, moving=True)[int(rng.integers(0, 6))]
+    hidden.xy = (rounded(x, 3), rounded(y, 3))
+    hidden.values = {
+        "s": rounded(material_size(rng, 0.05), 4),
+        "x": hidden.xy[0],
+        "y": hidden.xy[1],
+        "r": radius,
+    }
 
 
 def changed_base(setup: Setup, plain: Driven, rng: np.random.Generator) -> tuple[Base, Link]:
