@@ -1,12 +1,22 @@
-"""What the command lines of the benchmarks share."""
+"""What the command lines of the benchmarks share: arguments, kept results, time, memory, and means with their intervals."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
 import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from planners.types import Floats
 
 
 def parser_of(doc: str | None) -> argparse.ArgumentParser:
@@ -41,3 +51,54 @@ def log_of_halves(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--work", type=Path, default=Path("runs/in_map"), help="folder of located run and graph"
     )
+
+
+def half_interval(values: Floats) -> Floats:
+    """Return half the 95 % interval of the mean over the first axis, by Student's t; nan for fewer than two values."""
+    n = len(values)
+    if n < 2:
+        return np.full(values.shape[1:], np.nan)
+    return np.asarray(student.ppf(0.975, n - 1) * values.std(axis=0, ddof=1) / np.sqrt(n))
+
+
+def processor_time() -> float:
+    """Return the processor time [s] of this process and of those that it has ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+@dataclass
+class Took:
+    """What a block took."""
+
+    cpu: float = 0.0
+    """[s] of the processor, with that of the processes that it ended."""
+    wall: float = 0.0
+    """[s]"""
+
+
+@contextmanager
+def timed() -> Iterator[Took]:
+    """Measure the time of a block; it is known after the block."""
+    took, cpu, wall = Took(), processor_time(), time.perf_counter()
+    yield took
+    took.cpu, took.wall = processor_time() - cpu, time.perf_counter() - wall
+
+
+def peak_memory(*, with_children: bool = False) -> float:
+    """Return the most memory [MiB] of this process, and of the largest that it has ended."""
+    counted = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)[: 1 + with_children]
+    unit = 1 if sys.platform == "darwin" else 1024  # [B]
+    return sum(resource.getrusage(who).ru_maxrss for who in counted) * unit / 2**20
+
+
+def fastest(
+    work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.process_time
+) -> float:
+    """Return the seconds of the fastest of several repeats."""
+    times = []
+    for _ in range(repeats):
+        start = clock()
+        work()
+        times.append(clock() - start)
+    return min(times)

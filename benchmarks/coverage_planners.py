@@ -28,8 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.arguments import keep, kept, parser_of
-from benchmarks.measures import peak_memory, timed
+from benchmarks.arguments import keep, kept, parser_of, peak_memory, timed
 from benchmarks.offices import office
 from benchmarks.places import arena_named, vehicle, write_map
 from planners import PlanError, plan
@@ -44,6 +43,8 @@ from sensorgraph.show.figures.drives import growth_picture
 RESOLUTION = 0.05
 """[m] of the raster map."""
 FREE, OCCUPIED = 254, 0
+FIRST_OFFICE = 1001
+"""Seed of the first random office."""
 COLUMNS = (
     "place", "planner", "m²", "bins", "covered", "core", "T/Tref", "above the bound", "violations", "clearance [m]",
     "of bare footprint", "s/10k", "cpu",
@@ -73,12 +74,8 @@ def main() -> None:
     parser.add_argument(
         "--planner", nargs="*", help="default: coverage, and stop_and_spin where it turns in place"
     )
-    parser.add_argument(
-        "--order", default="fast", choices=["fast", "anytime"], help="of the planner coverage"
-    )
     parser.add_argument("--drive", default="diff", choices=DRIVES)
     parser.add_argument("--random", type=int, default=0, help="count of random offices")
-    parser.add_argument("--first", type=int, default=1001, help="seed of the first random office")
     parser.add_argument(
         "--large", nargs=2, type=int, metavar=("SIDE", "ROOMS"), help="one large random office"
     )
@@ -105,7 +102,7 @@ def main() -> None:
             if (name, planner) in known:
                 continue
             try:
-                found = planned(place, planner, options.drive, options.order)
+                found = planned(place, planner, options.drive)
             except PlanError as exc:
                 print(f"| {name} | {planner} | {exc} |")
                 continue
@@ -121,7 +118,7 @@ def places(options: argparse.Namespace) -> Iterator[Place]:
     """Yield where is planned: arenas, random offices, a large one, and floors, the smallest first."""
     for name in options.arena:
         yield Place(name, load_arena(name))
-    for seed in range(options.first, options.first + options.random):
+    for seed in range(FIRST_OFFICE, FIRST_OFFICE + options.random):
         yield Place(f"office {seed}", arena_named(str(seed)))
     if options.large:
         side, rooms = options.large
@@ -161,10 +158,10 @@ def rasterised(arena: Arena) -> Arena:
         return load_arena(write_map(Path(folder), image, (float(x0), float(y0)), RESOLUTION))
 
 
-def planned(place: Place, planner: str, drive: str, order: str) -> dict[str, Any]:
+def planned(place: Place, planner: str, drive: str) -> dict[str, Any]:
     """Plan, and return what the table needs of it."""
     with timed() as took:
-        report = plan(place.arena, vehicle(drive), planner=planner, order=order, start=place.start).report
+        report = plan(place.arena, vehicle(drive), planner=planner, start=place.start).report
     found = {key: report.get(key) for key in REPORTED}
     return found | {"area_m2": place.area or place.arena.free.area, "wall_s": took.wall, "cpu_s": took.cpu}
 

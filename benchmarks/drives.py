@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.places import drive_and_log
 from logs.run import Run
 from planners import plan
 from planners.arena import Arena
-from planners.trajectory import Trajectory
 from planners.types import Floats
-from sensorgraph.effects import Amendment
 from sensorgraph.recording.controllers import Controller, controller_named
 from sensorgraph.recording.identified_world import ArenaWorld
-from sensorgraph.world.drive import follow, react
+from sensorgraph.world.drive import react
 from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 from sensorgraph.world.wall_distance import WallDistance
@@ -39,15 +37,6 @@ def closed_loop(
     meta = {"contacts": str(driven.contacts)}
     rng = np.random.default_rng([seed, 3])
     return simulate(driven, arena, robot, rng=rng, perceive=world.scans, meta=meta)
-
-
-def drive_and_log(
-    trajectory: Trajectory, arena: Arena, robot: Robot, seed: int, effects: Sequence[Amendment] = ()
-) -> Run:
-    """Follow a trajectory with the robot's motors and noise, and log it."""
-    rng = np.random.default_rng(seed)
-    driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng)
-    return simulate(driven, arena, robot, rng=rng, effects=effects, seed=seed)
 
 
 def covered(arena: Arena, robot: Robot, seed: int, *, headings: int = 16) -> Run:

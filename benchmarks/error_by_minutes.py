@@ -26,9 +26,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import keep, kept, parser_of
-from benchmarks.drives import drive_and_log
 from benchmarks.error_tables import ALL_MINUTES, DriveScore, single_places, summary
-from benchmarks.places import arena_named
+from benchmarks.places import arena_named, drive_and_log
 from logs.run import Run
 from planners import plan
 from planners.arena import Arena

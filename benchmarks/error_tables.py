@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measures import half_interval
+from benchmarks.arguments import half_interval
 from sensorgraph.show.figures.style import INK, SOLID, new_figure, reduce_frame, save_figure
 
 ALL_MINUTES = (2, 5, 10, 20, 40)

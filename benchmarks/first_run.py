@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.arguments import parser_of
-from benchmarks.measures import timed
+from benchmarks.arguments import parser_of, timed
 from sensorgraph.show.figures.style import AMBER, INK, TEAL, TEXT, new_figure, save_figure
 
 LISTENER = '''

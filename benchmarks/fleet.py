@@ -26,8 +26,7 @@ import numpy as np
 
 import logs
 import sensorgraph as sg
-from benchmarks.arguments import existing, parser_of
-from benchmarks.measures import timed
+from benchmarks.arguments import existing, parser_of, timed
 from logs.run import Run
 from logs.transforms import wrap
 

@@ -16,8 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.arguments import parser_of
-from benchmarks.measures import fastest, peak_memory, timed
+from benchmarks.arguments import fastest, parser_of, peak_memory, timed
 from robotmodic_ident import Moments, Scale, Terms, fit, lagged, lags, polynomial, select, validate
 from robotmodic_ident.selection.model_size import Search
 from sensorgraph.world.raycast import cast_laser

@@ -34,8 +34,7 @@ from mcap_ros2.writer import Writer
 
 import logs
 from benchmarks import zenoh_robot
-from benchmarks.arguments import parser_of
-from benchmarks.measures import fastest, peak_memory, timed
+from benchmarks.arguments import fastest, parser_of, peak_memory, timed
 from logs.ros.definitions import definition
 from logs.run import RangeSensor, Run
 from planners.maps import geojson

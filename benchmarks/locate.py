@@ -17,8 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import logs
-from benchmarks.arguments import parser_of
-from benchmarks.measures import timed
+from benchmarks.arguments import parser_of, timed
 from benchmarks.places import arena_named
 from logs.run import Run
 from logs.transforms import compose, invert, wrap

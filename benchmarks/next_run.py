@@ -15,10 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
-from benchmarks.drives import drive_and_log
+from benchmarks.arguments import parser_of, timed
 from benchmarks.hidden_effects.worlds.own.world import make_room
-from benchmarks.measures import timed
+from benchmarks.places import drive_and_log
 from planners.arena import Arena
 from planners.maps import geojson
 from planners.trajectory import Trajectory

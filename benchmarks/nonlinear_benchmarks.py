@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
-from benchmarks.measures import timed
+from benchmarks.arguments import parser_of, timed
 from robotmodic_ident import AutoFit, auto_fit
 
 FOLDER = Path("../shared/data/nonlinear-benchmarks")

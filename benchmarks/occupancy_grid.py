@@ -23,8 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
-from benchmarks.measures import half_interval, timed
+from benchmarks.arguments import half_interval, parser_of, timed
 from logs import Run, pair, read
 from planners.types import Bools, Floats, Ints
 from sensorgraph.building.build import build

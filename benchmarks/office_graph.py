@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
-from benchmarks.measures import fastest, half_interval, timed
+from benchmarks.arguments import fastest, half_interval, parser_of, timed
 from benchmarks.places import arena_named
 from logs.run import RangeSensor, Run
 from planners.arena import Arena

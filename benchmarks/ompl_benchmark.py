@@ -22,6 +22,10 @@ from planners.joins.ompl_process import planner_named
 from planners.ompl_planner import problem, registry_planners
 from sensorgraph.loading import load_arena
 
+START, GOAL = np.array([0.8, 0.8, 0.3]), np.array([3.3, 0.7, 1.0])
+"""[m, m, rad]"""
+TIME, DURATION = 120.0, 60.0
+"""[s] for each run, and that the baselines drive."""
 OMPL_COLUMNS = {
     "solved BOOLEAN": "solved",
     "correct solution BOOLEAN": "correct",
@@ -34,34 +38,28 @@ OMPL_COLUMNS = {
 def main() -> None:
     """Run the benchmark, print a line for each run, write OMPL's log."""
     parser = parser_of(__doc__)
-    parser.add_argument("--arena", default="square")
     parser.add_argument("--drive", default="diff", choices=["diff", "reeds_shepp", "dubins"])
-    parser.add_argument("--start", default="0.8,0.8,0.3", help="x,y,phi [m, m, rad]")
-    parser.add_argument("--goal", default="3.3,0.7,1.0", help="x,y,phi [m, m, rad]")
     parser.add_argument("--cell", type=float, default=0.25, help="[m]")
     parser.add_argument("--headings", type=int, default=16)
     parser.add_argument("--runs", type=int, default=2)
-    parser.add_argument("--time", type=float, default=120.0, help="[s] for each run")
-    parser.add_argument("--duration", type=float, default=60.0, help="[s] that the baselines drive")
     parser.add_argument("--own", nargs="*", default=[], help="module:Class of planners of your own")
     parser.add_argument("-o", "--out", type=Path, default=Path("ompl_benchmark.log"))
     options = parser.parse_args()
     util.setLogLevel(util.LOG_ERROR)
-    arena = load_arena(options.arena)
+    arena = load_arena("square")
     robot = vehicle(options.drive)
-    start, goal = (np.array([float(v) for v in text.split(",")]) for text in (options.start, options.goal))
-    setup = problem(arena, robot, start, goal)
+    setup = problem(arena, robot, START, GOAL)
     information = setup.getSpaceInformation()
-    benchmark = tools.Benchmark(setup, f"{options.arena} {options.drive}")
+    benchmark = tools.Benchmark(setup, f"square {options.drive}")
     benchmark.addPlanner(geometric.RRTConnect(information))
     benchmark.addPlanner(geometric.KPIECE1(information))
     for name in options.own:
         benchmark.addPlanner(planner_named(name, geometric, information))
     for ours in registry_planners(
-        information, arena, robot, duration=options.duration, cell=options.cell, headings=options.headings
+        information, arena, robot, duration=DURATION, cell=options.cell, headings=options.headings
     ):
         benchmark.addPlanner(ours)
-    benchmark.benchmark(request(options.runs, options.time))
+    benchmark.benchmark(request(options.runs, TIME))
     for name, run in runs(benchmark):
         print(f"{name:24} " + "  ".join(f"{head} {run[key]}" for key, head in OMPL_COLUMNS.items()))
     benchmark.saveResultsToFile(str(options.out))

@@ -1,7 +1,8 @@
-"""Where the benchmarks drive: shipped arenas and random offices by name, and the vehicle of the planners."""
+"""Where the benchmarks drive: shipped arenas and random offices by name, the vehicle of the planners, drives in memory."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,17 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.offices import office
+from logs.run import Run
 from planners.arena import Arena
 from planners.maps import geojson
+from planners.trajectory import Trajectory
 from planners.vehicle import Drive, Limits, Vehicle
+from sensorgraph.effects import Amendment
 from sensorgraph.loading import load_arena
+from sensorgraph.world.drive import follow
+from sensorgraph.world.robot import Robot
+from sensorgraph.world.simulate import simulate
+from sensorgraph.world.wall_distance import WallDistance
 
 
 def arena_named(name: str) -> Arena:
@@ -36,3 +44,12 @@ def write_map(folder: Path, grey: NDArray[np.uint8], origin: tuple[float, float]
         encoding="utf-8",
     )
     return path
+
+
+def drive_and_log(
+    trajectory: Trajectory, arena: Arena, robot: Robot, seed: int, effects: Sequence[Amendment] = ()
+) -> Run:
+    """Follow a trajectory with the robot's motors and noise, and log it."""
+    rng = np.random.default_rng(seed)
+    driven = follow(trajectory, robot, clearance=WallDistance(arena), rng=rng)
+    return simulate(driven, arena, robot, rng=rng, effects=effects, seed=seed)

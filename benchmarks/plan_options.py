@@ -27,8 +27,7 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.arguments import parser_of
-from benchmarks.drives import drive_and_log
-from benchmarks.places import vehicle
+from benchmarks.places import drive_and_log, vehicle
 from planners import Plan, plan
 from planners.arena import Arena, wrap
 from planners.search import area

@@ -30,8 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import existing, parser_of
-from benchmarks.measures import timed
+from benchmarks.arguments import existing, parser_of, timed
 from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, Plant
 from benchmarks.planted_site import (
     SCANS_IN_GRAPH,

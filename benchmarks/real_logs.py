@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
-from benchmarks.measures import timed
+from benchmarks.arguments import parser_of, timed
 from logs import Run, pair, read
 from logs.transforms import compose
 from planners.types import Floats

@@ -1,6 +1,6 @@
 """Run inspect, locate, build and diagnose on every log of some folders, and print one table, a row a file.
 
-    python -m benchmarks.strangers FOLDER... [--only PATTERN,...] [--keep FILE]
+    python -m benchmarks.strangers FOLDER... [--only PATTERN,...]
 
 Logs are found recursively; a folder that is a rosbag2 is one log. Each log is copied first, so nothing is written beside
 it. A file `options.yaml` in a FOLDER gives options by file pattern, with paths relative to the FOLDER:
@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -33,9 +33,8 @@ import numpy as np
 import yaml
 
 import logs
-from benchmarks.arguments import keep, kept, parser_of
+from benchmarks.arguments import parser_of, processor_time
 from benchmarks.locate import aligned
-from benchmarks.measures import processor_time
 from logs.formats import format_of
 from logs.formats.rosbag import logs_in
 from logs.run import Run, pair
@@ -52,17 +51,14 @@ LINE = 110
 """Characters of a message in a cell."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Row:
     """One log, and what each command said."""
 
     name: str
-    what: str = ""
-    said: dict[str, str] = field(default_factory=dict)
-    """Command -> its result, or its error line."""
-    ended: dict[str, int | None] = field(default_factory=dict)
-    """Command -> exit code; None: it took too long."""
-    seconds: dict[str, float] = field(default_factory=dict)
+    what: str
+    said: dict[str, tuple[int | None, str, float]]
+    """Command -> exit code, None if it took too long; its result or its error line; its seconds."""
 
 
 def logs_below(folder: Path) -> Iterator[Path]:
@@ -228,41 +224,38 @@ def row_of(path: Path, folder: Path) -> Row:
     """Run the commands on a copy of a log."""
     options = options_of(folder, path)
     what, run = described(path, options)
-    row = Row(name=path.relative_to(folder).as_posix(), what=what)
+    said: dict[str, tuple[int | None, str, float]] = {}
     with tempfile.TemporaryDirectory() as temporary:
         work = Path(temporary)
         copy = work / path.name
         shutil.copytree(path, copy) if path.is_dir() else shutil.copy(path, copy)
         for command, (output, result) in OUTPUTS.items():
             words = [command, path.name, *words_of(options, folder, command), *output]
-            code, lines, row.seconds[command] = run_command(words, work)
-            row.ended[command] = code
+            code, lines, seconds = run_command(words, work)
             if code is None:
-                row.said[command] = f"took longer than {LIMIT:.0f} s"
+                text = f"took longer than {LIMIT:.0f} s"
             elif code == 0:
-                row.said[command] = result(work, run)
+                text = result(work, run)
             else:
                 last = next(
-                    (line for line in reversed(lines) if line.startswith("error")), lines[-1] if lines else ""
+                    (line for line in reversed(lines) if line.startswith("error")), (lines or [""])[-1]
                 )
-                row.said[command] = f"{last.removeprefix('error: ')}" + (
-                    "" if code == 2 else f" (exit {code})"
-                )
-    return row
+                text = last.removeprefix("error: ") + ("" if code == 2 else f" (exit {code})")
+            said[command] = code, text, seconds
+    return Row(path.relative_to(folder).as_posix(), what, said)
 
 
 def lines_of(rows: Sequence[Row]) -> list[str]:
     """Return the table in Markdown."""
     lines = [f"| log | what it is | {' | '.join(OUTPUTS)} | s |", f"|---|---|{'---|' * len(OUTPUTS)}---:|"]
     for row in rows:
-        said = [("✗ " if row.ended[c] != 0 else "") + shortened(row.said[c]) for c in OUTPUTS]
-        took = " / ".join(f"{row.seconds[c]:.0f}" for c in OUTPUTS)
+        said = [("✗ " if code != 0 else "") + shortened(text) for code, text, _ in row.said.values()]
+        took = " / ".join(f"{seconds:.0f}" for _, _, seconds in row.said.values())
         lines.append(f"| {row.name} | {row.what} | {' | '.join(said)} | {took} |")
-    crashed = sum(code not in (0, 2) for row in rows for code in row.ended.values())
-    refused = sum(code == 2 for row in rows for code in row.ended.values())
-    total = sum(len(row.ended) for row in rows)
+    codes = [code for row in rows for code, _, _ in row.said.values()]
+    crashed, refused = sum(code not in (0, 2) for code in codes), codes.count(2)
     lines.append(
-        f"\n{len(rows)} logs, {total} commands: {total - refused - crashed} results, {refused} refused in one line, {crashed} other"
+        f"\n{len(rows)} logs, {len(codes)} commands: {codes.count(0)} results, {refused} refused in one line, {crashed} other"
     )
     return lines
 
@@ -272,11 +265,7 @@ def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--only", default="*", help="patterns of names, separated by commas")
-    parser.add_argument(
-        "--keep", type=Path, help="JSON lines of the rows; what is there already is not repeated"
-    )
     given = parser.parse_args()
-    known = {row["name"]: Row(**row) for row in kept(given.keep)}
     rows = []
     for folder in given.folders:
         folder = folder.resolve()
@@ -284,13 +273,10 @@ def main() -> int:
             name = path.relative_to(folder).as_posix()
             if not any(fnmatchcase(name, pattern) for pattern in given.only.split(",")):
                 continue
-            row = known.get(name) or row_of(path, folder)
-            if name not in known:
-                keep(given.keep, asdict(row))
-            rows.append(row)
+            rows.append(row_of(path, folder))
             print(f"{time.strftime('%H:%M')} {name}", file=sys.stderr)
     print("\n".join(lines_of(rows)))
-    return int(any(code not in (0, 2) for row in rows for code in row.ended.values()))
+    return int(any(code not in (0, 2) for row in rows for code, _, _ in row.said.values()))
 
 
 if __name__ == "__main__":

@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from benchmarks.arguments import parser_of
-from benchmarks.measures import half_interval, timed
+from benchmarks.arguments import half_interval, parser_of, timed
 from benchmarks.places import arena_named
 from logs.run import RangeSensor
 from planners.arena import Arena

@@ -110,7 +110,7 @@ class DataSheet:
         }
         return yaml.safe_dump(facts, sort_keys=False)
 
-    def of_log(self, sigma_v: float, sigma_omega: float) -> dict[str, Any]:
+    def of_log(self) -> dict[str, Any]:
         """Return what a `Log` contains of the data sheet."""
         return {
             "bearings": self.bearings,
@@ -118,5 +118,4 @@ class DataSheet:
             "sweep_time": self.sweep_time,
             "scan_period": 1 / self.scan_rate,
             "mount": (*self.mount[:2], self.height, self.mount[2]),
-            "twist_sigmas": (sigma_v, sigma_omega),
         }

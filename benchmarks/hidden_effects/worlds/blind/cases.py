@@ -117,7 +117,8 @@ def draw(
     return Case(
         log=Log(
             epoch_ns=(FIRST_EPOCH + int(rng.integers(10**7))) * 10**9 + int(rng.integers(10**9)),
-            **setup.robot.of_log(setup.robot.sigma_v, setup.robot.sigma_omega),
+            **setup.robot.of_log(),
+            twist_sigmas=(setup.robot.sigma_v, setup.robot.sigma_omega),
             scan_stamps=scans.stamps,
             ranges=scans.ranges,
             pose_stamps=reference.stamps,

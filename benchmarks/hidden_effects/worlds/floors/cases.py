@@ -191,7 +191,8 @@ def _case(spec: Spec, scene: Scene, runs: Runs, mark: Mark, attempt: int) -> Cas
     return Case(
         log=Log(
             epoch_ns=(FIRST_EPOCH + 1000 * spec.index) * 10**9,
-            **robot.of_log(robot.sigma_v, robot.sigma_omega),
+            **robot.of_log(),
+            twist_sigmas=(robot.sigma_v, robot.sigma_omega),
             scan_stamps=runs.scans.stamps[kept],
             ranges=runs.scans.ranges[kept],
             pose_stamps=runs.pose_stamps,

@@ -10,11 +10,11 @@ import numpy as np
 from benchmarks.hidden_effects.geometry import with_edge_moved
 from benchmarks.hidden_effects.worlds.floors.base import follow, lagged
 from benchmarks.hidden_effects.worlds.floors.effect import DEGREE, Effect, law, rounded, sign, signed, size
-from benchmarks.hidden_effects.worlds.floors.people import legs
 from benchmarks.hidden_effects.worlds.floors.placing import (
     OnWall,
     Rebuilt,
     free_spot,
+    legs,
     location_of,
     pick_obstacle,
     pick_wall,

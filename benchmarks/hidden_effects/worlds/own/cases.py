@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from benchmarks.hidden_effects.library import CHANNEL, DETERMINISTIC, LIBRARY
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.own import foreign
 from benchmarks.hidden_effects.worlds.own.drive import SIMULATION_STEP, TrueDrive, TrueMotors
-from benchmarks.hidden_effects.worlds.own.physics import odometry
 from benchmarks.hidden_effects.worlds.own.recording import (
     RUN_DURATION,
     CaseSetup,
@@ -29,7 +27,7 @@ from benchmarks.hidden_effects.worlds.own.recording import (
     scan_stamps,
 )
 from benchmarks.hidden_effects.worlds.own.robot import COMMAND_PERIOD, draw_base_loop, make_robot
-from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, observe
+from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, observe, odometry
 from benchmarks.hidden_effects.worlds.own.strengths import MATERIALITY, Context, draw, ratio_of
 from benchmarks.hidden_effects.worlds.own.world import make_room
 
@@ -222,12 +220,7 @@ def _effects(
         turns = np.random.default_rng([ROOT_SEED, STREAMS[spec.kinds], 77])
         order = turns.permutation(foreign.KINDS[spec.kinds])
         name = spec.effect or str(order[spec.index % len(order)])
-        tools = {
-            "room": context.room,
-            "pick_wall": partial(context.pick_wall, least=0.08),
-            "pick_obstacle": context.pick_obstacle,
-        }
-        return [foreign.draw(name, rng, tools)]
+        return [foreign.draw(name, rng, context)]
     if spec.suite == "singles":
         order = np.random.default_rng([ROOT_SEED, STREAMS[spec.kinds], 78]).permutation(LIBRARY)
         name = spec.effect or str(order[spec.index % len(order)])

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.geometry import turned, wrapped
+from benchmarks.hidden_effects.geometry import Room, turned, wrapped
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.own.drive import TrueDrive
 from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, SimulatedScan, at, laws
+from benchmarks.hidden_effects.worlds.own.strengths import Context
 from benchmarks.hidden_effects.worlds.own.world import ARENA, Walls, centroid
 
 FOREIGN_CHANNEL = {"odom_scale_jump": "odometry", "turn_deadband": "drive", "battery_sag": "drive"}
@@ -54,24 +55,26 @@ SPANS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "battery_sag": {"gain": (0.75, 0.9), "t0": (25.0, 55.0)},
 }
 """Between which sizes the parameters are drawn."""
+LEAST_SEEN = 0.08
+"""Share of the rays that end on such a wall."""
 ON_WALLS = {"bowed_wall", "wavy_wall", "reflectivity_stripes", "door_opens"}
 """They sit on a well seen outer wall; b, s and k of the others have a random sign."""
 
 
-def draw(name: str, rng: np.random.Generator, context: Mapping[str, Any]) -> HiddenEffect:
+def draw(name: str, rng: np.random.Generator, context: Context) -> HiddenEffect:
     """Draw size and place of an effect."""
     if name == "rotated_obstacle":
-        place = context["pick_obstacle"](rng)
-        middle = context["room"].rings[place].mean(axis=0)
+        place = context.pick_obstacle(rng)
+        middle = context.room.rings[place].mean(axis=0)
         turn = float(rng.choice([-1, 1]) * rng.uniform(0.15, 0.4))
         return HiddenEffect(name=name, parameters={"turn": turn}, place=place, xy=tuple(map(float, middle)))
     if name == "odom_scale_jump":
         s = float(rng.choice([-1, 1]) * rng.uniform(0.05, 0.1))
         return HiddenEffect(name=name, parameters={"s": s}, extra={"t0": float(rng.uniform(25, 55))})
-    wall = context["pick_wall"](rng) if name in ON_WALLS else None
+    wall = context.pick_wall(rng, least=LEAST_SEEN) if name in ON_WALLS else None
     values = {key: float(rng.uniform(*span)) for key, span in SPANS[name].items()}
     if wall is not None:
-        a, b = context["room"].edge(wall)
+        a, b = context.room.edge(wall)
         return HiddenEffect(name=name, parameters=values, place=wall, xy=tuple(map(float, (a + b) / 2)))
     for key in ("b", "s", "k"):
         if key in values:
@@ -223,14 +226,14 @@ def _rotated_obstacle(scene: SimulatedScan, p: Mapping[str, Any], effect: Hidden
     scene.room = scene.room.with_ring(str(effect.place), middle + turned(ring - middle, p["turn"]))
 
 
-PoseLaw = Callable[[Mapping[str, Any], Floats, Floats, TrueDrive, Mapping[str, Any]], Floats]
-"""(parameters, stamps, poses, drive, context) -> poses as the reference tells them."""
+PoseLaw = Callable[[Mapping[str, Any], Floats, Floats, TrueDrive, Room], Floats]
+"""(parameters, stamps, poses, drive, room) -> poses as the reference tells them."""
 
 
 def _camera_distortion(
-    p: Mapping[str, Any], stamps: Floats, poses: Floats, driven: TrueDrive, context: Mapping[str, Any]
+    p: Mapping[str, Any], stamps: Floats, poses: Floats, driven: TrueDrive, room: Room
 ) -> Floats:
-    room, middle = context["room"], centroid(context["room"])
+    middle = centroid(room)
     off = poses[:, :2] - middle
     reach = float(np.linalg.norm(room.outer - middle, axis=1).max()) * 0.7
     rho2 = (off**2).sum(axis=1, keepdims=True) / reach**2
@@ -240,9 +243,9 @@ def _camera_distortion(
 
 
 def _pose_yaw_by_place(
-    p: Mapping[str, Any], stamps: Floats, poses: Floats, driven: TrueDrive, context: Mapping[str, Any]
+    p: Mapping[str, Any], stamps: Floats, poses: Floats, driven: TrueDrive, room: Room
 ) -> Floats:
-    x0, y0 = context["room"].rings[ARENA].min(axis=0)
+    x0, y0 = room.rings[ARENA].min(axis=0)
     bent = poses.copy()
     wave = np.sin(2 * np.pi * (poses[:, 0] - x0) / 2.6) * np.cos(2 * np.pi * (poses[:, 1] - y0) / 3.1)
     bent[:, 2] += p["s"] * wave
@@ -250,7 +253,7 @@ def _pose_yaw_by_place(
 
 
 POSE_EFFECTS: Mapping[str, PoseLaw] = {
-    "pose_clock_drift": lambda p, stamps, poses, driven, context: driven.at(
+    "pose_clock_drift": lambda p, stamps, poses, driven, room: driven.at(
         stamps - p["tau"] * stamps / stamps[-1]
     ),
     "camera_distortion": _camera_distortion,

@@ -12,9 +12,8 @@ from benchmarks.hidden_effects.geometry import Room
 from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.own import foreign
 from benchmarks.hidden_effects.worlds.own.drive import Errand, TrueDrive, TrueMotors, drive, wrap
-from benchmarks.hidden_effects.worlds.own.physics import odometry
 from benchmarks.hidden_effects.worlds.own.robot import BaseLoop, RobotSpec
-from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, SimulatedScan, observe
+from benchmarks.hidden_effects.worlds.own.simulated_scan import HiddenEffect, SimulatedScan, observe, odometry
 from benchmarks.hidden_effects.worlds.own.strengths import Context
 from benchmarks.hidden_effects.worlds.own.world import cast, walls_of
 
@@ -158,11 +157,7 @@ def record(setup: CaseSetup, driven: TrueDrive, effects: Sequence[HiddenEffect],
         twists = ticked(twists, robot.base_loop, robot.wheel_base)
     return Log(
         epoch_ns=0,
-        bearings=robot.bearings,
-        range_limits=(robot.range_min, robot.range_max),
-        sweep_time=robot.sweep_time,
-        scan_period=1 / robot.scan_rate,
-        mount=(*robot.mount[:2], robot.height, robot.mount[2]),
+        **robot.of_log(),
         scan_stamps=stamps,
         ranges=ranges,
         pose_stamps=pose_stamps,
@@ -196,7 +191,7 @@ def reported_poses(driven: TrueDrive, stamps: Floats, effects: Sequence[HiddenEf
     for effect in effects:
         if effect.name in foreign.POSE_EFFECTS:
             law = foreign.POSE_EFFECTS[effect.name]
-            poses = law(effect.parameters, stamps, poses, driven, {"room": room})
+            poses = law(effect.parameters, stamps, poses, driven, room)
     return poses
 
 
