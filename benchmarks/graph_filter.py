@@ -30,8 +30,7 @@ import sensorgraph as sg
 from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.localize_in_map import Halves, evenly_spaced, halves, located_without, poses_at_scans, said
 from benchmarks.locate import aligned
-from benchmarks.odometry_errors import Motion
-from benchmarks.particle_filter import FittedAmcl, driven, fitted_amcl, followed
+from benchmarks.particle_filter import FittedAmcl, Motion, driven, fitted_amcl, followed
 from logs import read
 from logs.transforms import compose, invert, wrap
 from planners.types import Floats, Ints
