@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import half_interval, parser_of
 from benchmarks.error_by_minutes import Place, check_of, place_of, ways
-from benchmarks.measures import half_interval
 from logs.run import Run, pair
 from planners import plan
 from planners.types import Floats

@@ -297,6 +297,18 @@ def joined(modes: Sequence[Mode], found: Mode, odds: Floats) -> list[Mode]:
     return [*alike, *modes[n:], found]
 
 
+def pruned(modes: Sequence[Mode], priors: TrackingPriors) -> list[Mode]:
+    """Return the most probable modes: those that have met are merged, and those that are improbable dropped."""
+    kept: list[Mode] = []
+    for mode in sorted(modes, key=lambda one: -one.total):
+        met = next((k for k, one in enumerate(kept) if one.is_at(mode.pose, priors.tolerance)), None)
+        if met is not None:
+            kept[met] = kept[met].merged(mode)
+        elif not kept or mode.total > kept[0].total - priors.dropped:
+            kept.append(mode)
+    return kept[: priors.n_modes]
+
+
 def _positive(information: Floats) -> Floats:
     """Return an information matrix without negative eigenvalues, which it has along a wall."""
     values, vectors = np.linalg.eigh(information)

@@ -2,7 +2,8 @@
 
 A reading that ends before the predicted surface is evidence for something new where it ends. A reading that ends beyond
 the predicted surface is evidence that this is gone. Rays that pass through a cell, or end at the predicted surface, are
-evidence against. Evidence of one pass is limited, and several passes must agree: people do not stay.
+evidence against. People do not stay. The evidence of one pass is limited, so that several must agree. Whoever stood there at the last
+pass is still there after a time t with the probability exp(-t / stay), so that the next one counts only the rest.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ class _Cells:
         self.priors = priors
         self.before = np.zeros(shape, dtype=np.float32)  # evidence of earlier passes
         self.now = np.zeros(shape, dtype=np.float32)  # of the current pass
+        self.most = np.full(shape, priors.per_pass, dtype=np.float32)  # evidence of the current pass, at most
         self.passes = np.zeros(shape, dtype=np.int16)  # earlier passes for the change
         self.touched = np.full(shape, -np.inf)
         self.began = np.full(shape, -np.inf)
@@ -76,15 +78,16 @@ class _Cells:
         if len(cells) == 0:
             return
         s, (i, j) = self.priors, np.unique(cells, axis=0).T
-        is_new = (stamp - self.touched[i, j] > s.pass_gap) | (stamp - self.began[i, j] > s.pass_most)
+        is_new = (stamp - self.touched[i, j] > s.pass_gap) | (stamp - self.began[i, j] > s.stay)
         a, b = i[is_new], j[is_new]
+        self.passes[a, b] += self.now[a, b] > 0.5 * self.most[a, b]
+        self.most[a, b] = s.per_pass * -np.expm1((self.began[a, b] - stamp) / s.stay)
         self.began[a, b] = stamp
-        self.passes[a, b] += self.now[a, b] > 0.5 * s.per_pass
         limit = 3.0 * s.per_pass
         self.before[a, b] = np.clip(self.before[a, b] + self.now[a, b], -limit, limit)
         self.now[a, b] = 0.0
         self.touched[i, j] = stamp
-        self.now[i, j] = np.clip(self.now[i, j] + nats, -s.per_pass, s.per_pass)
+        self.now[i, j] = np.clip(self.now[i, j] + nats, -s.per_pass, self.most[i, j])
         if nats > 0:
             self.first[i, j] = np.where(np.isnan(self.first[i, j]), stamp, self.first[i, j])
             self.last[i, j] = stamp
@@ -93,7 +96,7 @@ class _Cells:
         """Return the probability of a change and the number of passes that show it, for all cells."""
         s = self.priors
         prior = np.log(s.changed / (1.0 - s.changed))
-        passes = self.passes + (self.now > 0.5 * s.per_pass)
+        passes = self.passes + (self.now > 0.5 * self.most)
         return expit(prior + self.before + self.now), passes.astype(np.intp)
 
 
@@ -183,7 +186,7 @@ class Place:
     def _components(self, kind: ChangeKind, cells: _Cells) -> list[PlaceChange]:
         s = self.priors
         p, passes = cells.probabilities()
-        is_changed = (p > 0.5) & (passes >= s.passes)
+        is_changed = p > 0.5
         if not is_changed.any():
             return []
         numbers, n = label(is_changed, structure=np.ones((3, 3)))

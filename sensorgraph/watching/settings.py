@@ -111,12 +111,10 @@ class PlacePriors:
     """[nats] Evidence of one reading that passes through a cell, or ends at the predicted one."""
     per_pass: float = 3.0
     """[nats] Evidence of one pass, at most: whoever stands there for a while is one observation."""
-    pass_gap: float = 30.0
+    pass_gap: float = 10.0
     """[s] Time out of sight after which another pass begins."""
-    pass_most: float = 120.0
-    """[s] Longest pass: what stands in sight for longer counts again."""
-    passes: int = 2
-    """Number of passes that must agree: a person does not stand in the same place at the next one."""
+    stay: float = 45.0
+    """[s] Mean time for which someone stands in one place. What stays in sight for longer counts as another pass."""
     least_cells: int = 2
     """Number of cells of the smallest change."""
     edge_rays: int = 2

@@ -38,6 +38,7 @@ from sensorgraph.watching.modes import (
     found_mode,
     joined,
     matched,
+    pruned,
     velocity_of,
     weighed,
 )
@@ -141,8 +142,7 @@ class PoseTracker:
         dt, step, deviations, is_jump = odometry_step(self._last, observation, self.velocity, s)
         if is_jump:
             self.missing = math.inf
-        has_step = dt > 0 and not is_jump and bool(step.any())
-        velocity = step / dt if has_step else self.velocity
+        velocity = step / dt if dt > 0 and not is_jump and step.any() else self.velocity
         scan = points_of(self.readings.sensor, observation, velocity)
         slip = self.slip * dt
         weight, changed = 1.0, 0.0
@@ -157,14 +157,15 @@ class PoseTracker:
         self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
         self._add_belief(now)
         self._weigh(now, dt)
-        main, moved = self.main, float(np.hypot(step[0], step[1]))
-        if main is not None:
-            is_known = main.is_matched and main.answered > s.answered
-            self.alone = max(self.alone - moved, 0.0) if is_known else min(self.alone + moved, 2.0 * s.alone)
+        main = self.main
+        is_known = main is not None and main.is_matched and main.answered > s.answered
+        moved = float(np.hypot(step[0], step[1])) * (-1.0 if is_known else 1.0)
+        self.alone = min(max(self.alone + moved, 0.0), 2.0 * s.alone)
         self.kept.add(now, fits=main is not None and main.evidence > FITTING * self.usual)
         if self.missing > self.limit:
             self._search()
-        self._prune()
+        self.modes = pruned(self.modes, s)
+        self._normalise()
         self.velocity = velocity_of(before, self.main, dt, s.max_speed, self.velocity)
         error = error_of_step(before, self.main, step, deviations, dt)
         self.slip, self.error = np.minimum(error, self.error), error
@@ -297,18 +298,6 @@ class PoseTracker:
         return found_mode(
             pose, next(self._numbers), self.modes, self.elsewhere, np.array(gains), carried, self.log_places
         )
-
-    def _prune(self) -> None:
-        """Merge modes that have met, and drop those that are improbable."""
-        kept: list[Mode] = []
-        for mode in sorted(self.modes, key=lambda one: -one.total):
-            met = next((k for k, one in enumerate(kept) if one.is_at(mode.pose, self.priors.tolerance)), None)
-            if met is not None:
-                kept[met] = kept[met].merged(mode)
-            elif not kept or mode.total > kept[0].total - self.priors.dropped:
-                kept.append(mode)
-        self.modes = kept[: self.priors.n_modes]
-        self._normalise()
 
     def _normalise(self) -> None:
         total = float(np.logaddexp.reduce([self.elsewhere, *(mode.total for mode in self.modes)]))
