@@ -117,12 +117,19 @@ def test_statements_page_and_messages_of_a_run(folder: Path, capsys: pytest.Capt
     with AnyReader([out]) as reader:
         of_topic = {one.topic: one for one in reader.connections}
         assert {"/diagnostics", "/watch/changes", "/watch/pose"} <= set(of_topic)
-        last = None
-        for connection, _, data in reader.messages([of_topic["/diagnostics"]]):
-            last = reader.deserialize(data, connection.msgtype)
-    assert last is not None
-    assert (last.status[0].name, last.status[0].level) == ("sensorgraph: pose", 2)
-    assert last.status[0].message.startswith("off by 0.7")
+        told = [
+            (stamp, reader.deserialize(data, connection.msgtype).status[0])
+            for connection, stamp, data in reader.messages([of_topic["/diagnostics"]])
+        ]
+    last = told[-1][1]
+    assert (last.name, last.level) == ("sensorgraph: pose", 2)
+    assert last.message.startswith("off by 0.7")
+    p_wrong = [float(next(one.value for one in status.values if one.key == "p_wrong")) for _, status in told]
+    began = next(pair for pair, p in zip(told, p_wrong, strict=True) if p > 0.9)  # the limit of an error
+    result = f"error at {(began[0] - told[0][0]) / 1e9:.0f} s: pose {began[1].message}"
+    end = f"at the end, {(told[-1][0] - told[0][0]) / 1e9:.0f} s:"
+    assert result in printed.out and f"<title>{result}" in page
+    assert f"{end}\npose {last.message}\n" in printed.out and end.replace(" s:", "\u00a0s:") in page
 
 
 @pytest.mark.slow
@@ -136,7 +143,7 @@ def test_a_policy_from_good_runs_passes_them_and_fails_a_wrong_pose(
     assert limits.share_predicted["error"] < limits.share_predicted["warning"] < 1.0
     assert cli(["watch", room, str(folder / "good.mcap"), "--policy", str(policy)]) == 0
     assert cli(["watch", room, str(folder / "off.mcap"), "--policy", str(policy)]) == 2
-    assert "error: pose off" in capsys.readouterr().out
+    assert "error at 21 s: pose off" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

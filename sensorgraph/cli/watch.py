@@ -251,13 +251,13 @@ class _Output:
         for span in summary.spans["pose"]:
             if span.word not in ("ok", "unknown"):
                 typer.echo(f"{span.first:.0f} to {span.last:.0f} s: {span.text}")
-        for text in () if summary.last is None else summary.last.sentences():
+        for text in summary.at_the_end():
             typer.echo(text)
         for note in summary.notes:
             typer.echo(f"note: {note}")
         if step := summary.next_step():
             typer.echo(step)
-        typer.echo(f"{summary.level}{': ' + summary.reason if summary.reason else ''}")
+        typer.echo(summary.result())
         if self.out is not None:
             rrd = "" if self.rrd is None else f", {self.rrd}"
             typer.echo(f"wrote {self.out}{rrd} and {self.out.with_suffix('.html')}")
@@ -300,7 +300,7 @@ class _StatusLine:
     def show(self, status: WatchStatus, summary: Any) -> None:
         from shutil import get_terminal_size
 
-        from sensorgraph.cli.progress import PLAIN_EVERY
+        from sensorgraph.cli.progress import PLAIN_EVERY, rate_text
 
         now = time.monotonic()
         if now - self.shown < (0.1 if self.is_terminal else PLAIN_EVERY):
@@ -309,7 +309,7 @@ class _StatusLine:
         driven = max(status.t - (summary.first or 0.0), 1.0)
         rate = driven / max(now - self.began, 1e-9)
         load = (time.process_time() - self.cpu) / driven  # at the pace of the robot, also in a replay
-        pace = f"{rate:.0f} times real time, {load:.0%} of a core"
+        pace = f"{rate_text(rate)} times real time, {load:.0%} of a core"
         text = f"{status.t:.0f} s: {'; '.join(status.sentences())} ({pace})"
         if self.is_terminal:
             width = get_terminal_size().columns - 1

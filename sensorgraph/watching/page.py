@@ -8,6 +8,7 @@ from html import escape
 import numpy as np
 
 from sensorgraph.diagnosis.report.page_shell import page_shell
+from sensorgraph.diagnosis.report.quantities import minus
 from sensorgraph.types import Floats
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.summary import PageData, Span
@@ -20,12 +21,15 @@ WIDTH, ROW, LEFT = 900, 34, 70
 """[px] of the time line."""
 MAP_WIDTH, MAP_MOST = 900, 900
 """[px] of the map."""
+STEPS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600)
+"""[s] between the labels of the time line; above an hour, whole hours."""
+MOST_LABELS = 8
 
 
 def watch_page(data: PageData) -> str:
     """Return the page as HTML."""
     last = data.last
-    lead = list(last.sentences()) + ([data.next_step] if data.next_step else [])
+    lead = [*data.at_the_end, *filter(None, [data.next_step])]
     kind = "found" if data.level != "ok" else "calm"
     return page_shell(
         headline=data.headline, lead=lead, eyebrow=f"{data.graph_name} · {data.run_name} · {data.duration / 60:.1f} min",
@@ -46,20 +50,27 @@ def _time_line(data: PageData) -> str:
         parts.append(f'<text x="0" y="{y + 16}" font-size="13">{name}</text>')
         parts += [_bar(span, scale, y) for span in spans]
     y = 8 + len(rows) * ROW
-    for share in np.linspace(0.0, 1.0, 6):
-        x = LEFT + share * data.duration * scale
-        anchor = "end" if share == 1.0 else "middle" if share else "start"
+    for t in np.arange(0.0, data.duration, _step(data.duration)):
+        x, anchor = LEFT + t * scale, "middle" if t else "start"
         parts.append(
-            f'<text x="{x:.1f}" y="{y + 10}" font-size="11" fill="#6d7282" text-anchor="{anchor}">{share * data.duration:.0f} s</text>'
+            f'<text x="{x:.1f}" y="{y + 10}" font-size="11" fill="#6d7282" text-anchor="{anchor}">{t:.0f} s</text>'
         )
+    words: dict[str, list[str]] = {}
+    for word, colour in COLOURS.items():
+        words.setdefault(colour, []).append("outside what the graph knows" if word == "unknown" else word)
     legend = " ".join(
-        f'<span style="color:{COLOURS[word]}">■</span>&nbsp;{word if word != "unknown" else "outside what the graph knows"}'
-        for word in COLOURS
+        f'<span style="color:{colour}">■</span>&nbsp;{" or ".join(some)}' for colour, some in words.items()
     )
     return (
-        f'<svg viewBox="0 0 {WIDTH} {y + 18}" width="100%" font-family="inherit">{"".join(parts)}</svg>'
+        f'<div class="wide"><svg viewBox="0 0 {WIDTH} {y + 18}" width="100%" font-family="inherit">{"".join(parts)}</svg></div>'
         f'<p class="note">{legend}</p>'
     )
+
+
+def _step(duration: float) -> float:
+    """Return the time [s] between labels of a time line."""
+    least = duration / MOST_LABELS
+    return next((float(step) for step in STEPS if step >= least), 3600.0 * np.ceil(least / 3600.0))
 
 
 def _bar(span: Span, scale: float, y: float) -> str:
@@ -86,6 +97,12 @@ def _map(data: PageData) -> str:
         f'<polyline points="{line(data.path[a:b, :2])}" fill="none" stroke="{COLOURS[word]}" stroke-width="{1.2 if word == "ok" else 2.4}" opacity="0.8"/>'
         for a, b, word in data.path_pieces
     ]
+    if len(path):
+        (start, end) = (line(path[[k]]).split(",") for k in (0, -1))
+        parts += [
+            f'<circle cx="{start[0]}" cy="{start[1]}" r="6" fill="none" stroke="#23262f" stroke-width="2"><title>start</title></circle>',
+            f'<circle cx="{end[0]}" cy="{end[1]}" r="5" fill="#23262f"><title>end</title></circle>',
+        ]
     for change in data.last.changes:
         colour = "#d1345b" if change.kind == "new" else "#2a5bd1"
         title = escape(f"{change.kind}: {change.passes} passes, p = {change.p:.2f}")
@@ -96,8 +113,8 @@ def _map(data: PageData) -> str:
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="100%">{"".join(parts)}</svg>'
         f'<p class="note">x from {low[0]:.1f} to {high[0]:.1f} m, y from {low[1]:.1f} to {high[1]:.1f} m; '
-        "grey: surfaces of the graph; line: where the robot was, by our own tracking, in the colours of the "
-        'time line; <span style="color:#d1345b">■</span>&nbsp;new, <span style="color:#2a5bd1">■</span>&nbsp;gone</p>'
+        "grey: surfaces of the graph; line: where the robot was, by our own tracking, from the ring to the dot, in the colours "
+        'of the time line; <span style="color:#d1345b">■</span>&nbsp;new, <span style="color:#2a5bd1">■</span>&nbsp;gone</p>'
     )
 
 
@@ -110,21 +127,20 @@ def _changes(last: WatchStatus) -> str:
         f'<td class="n">{change.last_seen:.0f} s</td><td class="n">{change.passes}</td><td class="n">{change.p:.2f}</td></tr>'
         for change in last.changes
     )
-    head = "".join(
-        f"<th>{word}</th>"
-        for word in ("what", "where", "size", "first seen", "last seen", "passes", "probability")
-    )
+    numbers = ("where", "size", "first seen", "last seen", "passes", "probability")
+    head = "<th>what</th>" + "".join(f'<th class="n">{word}</th>' for word in numbers)
     return f"<h2>Changes of the place</h2><table><tr>{head}</tr>{rows}</table>"
 
 
 def _robot(last: WatchStatus) -> str:
     rows = "".join(
         f"<tr><td><code>{escape(doubt.name)}</code></td><td>{escape(doubt.sentence())}</td>"
-        f'<td class="n">{doubt.p:.3f}</td><td class="n">{doubt.nats:.1f}</td></tr>'
+        f'<td class="n">{doubt.p:.3f}</td><td class="n">{minus(f"{doubt.nats:.1f}")}</td></tr>'
         for doubt in last.doubts
     )
     return (
-        "<h2>Laser and wheels</h2><table><tr><th>hypothesis</th><th>size</th><th>probability</th><th>evidence [nats]</th></tr>"
+        "<h2>Laser and wheels</h2><table><tr><th>hypothesis</th><th>size</th><th class='n'>probability</th>"
+        "<th class='n'>evidence [nats]</th></tr>"
         f"{rows}</table>"
     )
 

@@ -50,7 +50,7 @@ class WatchStatus:
         new, gone = ([change for change in self.changes if change.kind == kind] for kind in ("new", "gone"))
         told = [
             f"{len(some)} {word} (the largest {max(some, key=lambda one: float(one.size.max())).size.max():.1f} m at "
-            f"{tuple(round(float(v), 1) for v in max(some, key=lambda one: float(one.size.max())).centre)})"
+            f"{tuple(round(float(v), 1) for v in max(some, key=lambda one: float(one.size.max())).centre)} m)"
             for some, word in ((new, "new"), (gone, "gone"))
             if some
         ]

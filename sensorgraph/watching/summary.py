@@ -52,6 +52,8 @@ class PageData:
     duration: float
     level: Level
     headline: str
+    at_the_end: Sequence[str]
+    """The statements of the end, after a line with their time."""
     next_step: str
     last: WatchStatus
     pose_spans: Sequence[Span]
@@ -93,6 +95,8 @@ class WatchSummary:
         self.last: WatchStatus | None = None
         self.level: Level = "ok"
         self.reason = ""
+        self.since: float | None = None
+        """[s] since the first statement, when the level was first reached; None: the reason is about the whole run."""
         self.n_statements = 0
         self.n_outside = 0
         """Number of statements that the robot is outside what the graph knows."""
@@ -116,7 +120,7 @@ class WatchSummary:
         self.last = status
         order = ("ok", "warning", "error")
         if order.index(level) > order.index(self.level):
-            self.level, self.reason = level, reason
+            self.level, self.reason, self.since = level, reason, t
 
     def conclude(self) -> None:
         """Warn if the graph knew the surroundings at no time, so that nothing was judged; otherwise, state how often not."""
@@ -129,6 +133,17 @@ class WatchSummary:
                 "the robot was never where the graph knows the surroundings: it is another place, or the poses are in another "
                 "frame than the graph"
             )
+
+    def result(self) -> str:
+        """Return the level of the run, since when, and why: the statement of that time, not of the end."""
+        at = "" if self.since is None else f" at {self.since:.0f} s"
+        return f"{self.level}{at}{': ' + self.reason if self.reason else ''}"
+
+    def at_the_end(self) -> list[str]:
+        """Return the statements of the end, after a line with their time."""
+        if self.last is None or self.first is None:
+            return []
+        return [f"at the end, {self.last.t - self.first:.0f} s:", *self.last.sentences()]
 
     def _extend(self, row: str, t: float, word: str, text: str) -> None:
         spans = self.spans[row]
@@ -177,8 +192,8 @@ class WatchSummary:
         pieces = [(a, min(b + 1, len(words)), words[a]) for a, b in pairwise(edges)]
         return PageData(
             run_name=run_name, graph_name=graph_name, duration=self.last.t - self.first, level=self.level,
-            headline=f"{self.level}: {self.reason}" if self.reason else "ok: pose, place and robot as expected",
-            next_step=self.next_step(), last=self.last, pose_spans=self.spans["pose"],
+            headline=self.result() if self.reason else "ok: pose, place and robot as expected",
+            at_the_end=self.at_the_end(), next_step=self.next_step(), last=self.last, pose_spans=self.spans["pose"],
             place_spans=self.spans["place"], robot_spans=self.spans["robot"],
             path=np.array(path), path_pieces=pieces, walls=walls,
             times=np.array(times), words=words, p_wrong=np.array(p_wrong), shares=np.array(shares),
