@@ -92,6 +92,21 @@ def test_it_is_not_found_where_it_is_not(
     assert entry.verdict is Verdict.SILENT and entry.facts.evidence is not None and entry.facts.evidence < 0
 
 
+def test_a_weaker_explanation_of_a_named_effect_has_less_evidence_than_the_effect(
+    hall: Arena, robot: Robot, plain: Run
+) -> None:
+    """To first order, each profile of a bias has more evidence than the bias itself."""
+    finding = diagnose(replace(plain, ranges=plain.ranges + 0.02), hall, robot, plan_next=False)
+    (bias,) = finding.ledger.of("range_bias")
+    assert bias.verdict is Verdict.NAMED and bias.facts.evidence is not None
+    for name in ("bias_by_bearing", "bias_by_range"):
+        (entry,) = finding.ledger.of(name)
+        assert entry.verdict is Verdict.SILENT and entry.facts.evidence is not None
+        assert entry.facts.evidence < 0.1 * bias.facts.evidence
+        weak = entry.facts.evidence < entry.facts.threshold
+        assert ("but it needs" if weak else "parts of the run disagree") in entry.reason
+
+
 def test_without_it_nobody_knows_its_name(hall: Arena, robot: Robot, plain: Run) -> None:
     finding = diagnose(plain, hall, robot, plan_next=False)
     with pytest.raises(SensorgraphError, match="is no effect or family"):

@@ -144,14 +144,15 @@ def _family_entry(name: str, doubt: Doubt | None, fit: GoodnessOfFit, sigma: flo
     price = 0.0 if doubt is None else doubt.price
     evidence, least = told.misfit - price, fit.least - price
     is_material = is_told or told.size is None or told.size.is_material(sigma)
+    is_accepted = is_told or (is_sure and told.misfit > fit.least)
     facts = Facts(
         has_name=False,
-        accepted=is_told or (is_sure and told.misfit > fit.least),
+        accepted=is_accepted,
         evidence=evidence,
         threshold=max(least, SCAN.selection.threshold) if price else least,
         is_significant=is_told or is_sure,
         is_material=is_material,
-        objection=None if is_told or not is_material else _objection(fit),
+        objection=_objection(fit) if is_accepted and is_material and not is_told else None,
     )
     return Entry(
         name=name,
@@ -178,5 +179,11 @@ def _unlike(doubt: Doubt, evidence: float) -> str:
     """Return why a difference may be due to chance; empty if its evidence [nats] states it."""
     if not doubt.price:
         return f"its test statistic is {doubt.statistic:.3g}, and {doubt.threshold:.3g} is required"
-    is_weak = evidence < SCAN.selection.threshold
-    return "" if is_weak else "a part of the run, or a simulated run, shows as much"
+    if evidence < SCAN.selection.threshold:
+        return ""
+    if doubt.statistic < doubt.threshold:
+        return (
+            f"the parts of the run disagree about it: it is {doubt.statistic:.1f} standard errors of their scatter large, and "
+            f"{doubt.threshold:.1f} are required"
+        )
+    return "runs that are simulated without it, or the cells of the map, explain as much"

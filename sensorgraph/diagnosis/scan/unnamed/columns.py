@@ -107,14 +107,16 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     """
     fitted, null, failed = checked.fitted, checked.null, frozenset[int]()
     screened = _screened(fitted, columns_of(fitted))
-    found = _sure(fitted, screened)
+    estimates = _estimates(fitted, screened)
+    found = _sure(fitted, estimates)
     if fitted.model and null is not None:
-        alone = _sure(null, _screened(null, columns_of(null)))
+        alone = _sure(null, _estimates(null, _screened(null, columns_of(null))))
         beside = 0.0 if found is None else found[0].gain - found[0].of.price
         if alone is not None and is_better_alone(alone[0].gain - alone[0].of.price, null, beside, fitted):
             found, failed = alone, frozenset(range(len(fitted.model)))
+    fits = {id(fit.of): fit for fit in estimates}
     unsure = [
-        Doubt.unsure(one.family, gain, one.price)
+        _unsure(one, gain, fits.get(id(one)))
         for one, gain in screened
         if found is None or one.family != found[0].of.family
     ]
@@ -136,6 +138,14 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     return [sure, *unsure]
 
 
+def _unsure(one: Columns, gain: float, fit: ColumnEstimate | None) -> Doubt:
+    """Return a difference that is not sure, with the gain and the amplitude of its fit, or else its gain [nats] to first order."""
+    if fit is None:
+        return Doubt.unsure(one.family, gain, one.price)
+    doubt = Doubt.unsure(one.family, fit.gain, one.price)
+    return replace(doubt, statistic=fit.amplitude_z, threshold=one.least_z)
+
+
 def is_better_alone(alone: float, null: Fitted, beside: float, fitted: Fitted) -> bool:
     """Return whether a structure explains more without any effect than together with the effects.
 
@@ -149,16 +159,14 @@ def is_better_alone(alone: float, null: Fitted, beside: float, fitted: Fitted) -
     return null.j + alone > fitted.j + beside + SCAN.selection.threshold
 
 
-def _sure(fitted: Fitted, screened: Sequence[tuple[Columns, float]]) -> tuple[ColumnEstimate, Words] | None:
-    """Return the most likely difference if the likelihood and the parts of the run support it; None otherwise.
+def _estimates(fitted: Fitted, screened: Sequence[tuple[Columns, float]]) -> list[ColumnEstimate]:
+    """Fit the differences with a gain [nats] to first order above their complexity penalty."""
+    return [estimated(fitted, one) for one, gain in screened if gain > one.price]
 
-    Parameters
-    ----------
-    screened : Differences, each with its gain [nats] to first order; only those with more than their complexity penalty
-        are fitted.
-    """
-    found = [estimated(fitted, one) for one, gain in screened if gain > one.price]
-    for one in sorted(found, key=lambda one: -one.gain):
+
+def _sure(fitted: Fitted, estimates: Sequence[ColumnEstimate]) -> tuple[ColumnEstimate, Words] | None:
+    """Return the most likely difference if the likelihood and the parts of the run support it; None otherwise."""
+    for one in sorted(estimates, key=lambda one: -one.gain):
         words = one.of.words(one, fitted)
         if words is None:
             continue
