@@ -184,7 +184,7 @@ def _plan(
     arena: Arena, robot: Robot, planner: str, duration: float | None, seed: int, progress: ProgressBars
 ) -> Plan:
     """Plan a drive with one planner."""
-    with progress(f"plan {planner}", "cells") as tick:
+    with progress(f"plan {planner}", "bins") as tick:
         return make_plan(
             arena,
             robot,

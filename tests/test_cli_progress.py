@@ -47,10 +47,18 @@ def test_time_left_follows_from_what_was_done_since_the_stage_began(
         now = 110.0
         tick(2000, 4000)
     assert "reading: 2,000 of 4,000 scans, 100/s, 20 s left" in capsys.readouterr().err
+    now = 116.0
+    with shown.progress("tracking", "scans") as tick:
+        for _ in range(3):  # each pass takes 10 s, and the last one is not over
+            tick(0, 1000)
+            now += 8.0
+            tick(800, 1000)
+            now += 2.0
+    assert capsys.readouterr().err.splitlines()[1:] == ["tracking: 800 of 1,000 scans, 100/s, 2 s left"] * 3
     with shown.progress("fitting", "%") as tick:
-        now = 116.0
+        now += 6.0
         tick(0, 100)
-    assert capsys.readouterr().err == "fitting: 0 of 100 %\n"  # named, though nothing of it is done
+    assert capsys.readouterr().err == "fitting: 0 %\n"  # named, though nothing of it is done
 
 
 def test_a_stage_that_counts_nothing_is_named_while_it_lasts(
@@ -71,7 +79,7 @@ def test_reading_shows_a_share_whatever_a_format_counts(
     monkeypatch.setattr(shown._PlainLines, "last", -100.0)
     with shown.reading_bar() as tick:
         tick(30_000_000, 75_897_781)
-    assert capsys.readouterr().err == "reading: 39 of 100 %\n"
+    assert capsys.readouterr().err == "reading: 39 %\n"
 
 
 def test_build_says_before_it_fits_what_the_log_makes_hard(

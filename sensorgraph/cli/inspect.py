@@ -74,7 +74,7 @@ def inspect(
     """
     from logs.inspection import inspect as look
     from sensorgraph.cli.inputs import check_output, read_options, write_json
-    from sensorgraph.cli.progress import progress
+    from sensorgraph.cli.progress import reading_bar
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.loading import arena_in, load_arena, robot_in
     from sensorgraph.watching.policy import load_topics
@@ -91,7 +91,7 @@ def inspect(
             write_json(json, facts)
         typer.echo("\n".join([f"{file}: a map, {facts['map']}", *(f"  {note}" for note in facts["notes"])]))
         return
-    with progress("reading") as tick:
+    with reading_bar() as tick:
         found = look(file, **read_options(topic, no_return, robot, heights), progress=tick)
     lines: list[str] = []
     oriented = None

@@ -19,7 +19,8 @@ PLAIN_EVERY = 5.0  # [s] between plain lines
 def progress(label: str, unit: str = "") -> Iterator[Progress]:
     """Yield `tick(done, total)`, which shows the progress of the work.
 
-    The rate is measured from the first tick, so that preparation such as compiling does not affect the remaining time.
+    The rate is measured from the first tick, so that preparation such as compiling does not affect the remaining time. A count
+    that falls begins another pass, with a rate of its own.
     """
     with progress_with_status(label, unit) as (tick, _):
         yield tick
@@ -47,11 +48,11 @@ def _bar(label: str, unit: str) -> Iterator[tuple[Progress, Callable[[str], None
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None, rate="")
-        start: tuple[float, int] | None = None
+        start, last = (0.0, 0), sys.maxsize
 
         def tick(done: int, total: int) -> None:
-            nonlocal start
-            start = (time.monotonic(), done) if start is None else start
+            nonlocal start, last
+            start, last = (time.monotonic(), done) if done < last else start, done  # a pass begins
             rate = (done - start[1]) / max(time.monotonic() - start[0], 1e-9)
             bar.update(
                 task, completed=done, total=total, rate=f"{rate_text(rate)} {unit}/s".replace(" /", "/")
@@ -95,7 +96,8 @@ class _PlainStage:
         self.done, self.total = 0, 0
 
     def tick(self, done: int, total: int) -> None:
-        self.first = (time.monotonic(), done) if self.first is None else self.first
+        if self.first is None or done < self.done:  # a pass begins
+            self.first = time.monotonic(), done
         self.done, self.total = done, total
         if _PlainLines.are_due():
             _PlainLines.write(self.line())
@@ -108,11 +110,14 @@ class _PlainStage:
         if self.first is None or self.total <= 1:  # no count, so no remaining time
             return f"{self.label}: {now - self.opened:.0f} s so far"
         since, first = self.first
-        counted = f"{self.label}: {self.done:,} of {self.total:,} {self.unit}".rstrip()
+        is_share = self.unit == "%"
+        whole = "" if is_share else f"of {self.total:,} "
+        counted = f"{self.label}: {self.done:,} {whole}{self.unit}".rstrip()
         if self.done <= first:
             return counted
         rate = (self.done - first) / max(now - since, 1e-9)
-        return f"{counted}, {rate_text(rate)}/s, {(self.total - self.done) / rate:.0f} s left"
+        pace = "" if is_share else f"{rate_text(rate)}/s, "
+        return f"{counted}, {pace}{(self.total - self.done) / rate:.0f} s left"
 
     def watch(self, ended: Event) -> None:
         """Print a line whenever one is due, until the stage has ended."""
