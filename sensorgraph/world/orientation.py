@@ -41,6 +41,8 @@ class Orientation:
     against: str
     """`the arena` or `itself`."""
     n_scans: int
+    is_odometry: bool = False
+    """Whether the poses are odometry, whose frame is seldom that of a map."""
 
     @property
     def best(self) -> str:
@@ -50,7 +52,9 @@ class Orientation:
 
     def lines(self) -> list[str]:
         """Return the fit of each orientation, and advice if another one fits better."""
-        unit, scale = ("cm median error", 100.0) if self.against == "the arena" else ("cells filled", 1.0)
+        unit, scale = (
+            ("median error in cm", 100.0) if self.against == "the arena" else ("number of cells filled", 1.0)
+        )
         fits = ", ".join(f"{name} {scale * value:,.0f}" for name, value in self.fits.items())
         out = [f"scan against {self.against} ({self.n_scans} scans, {unit}): {fits}"]
         if self.best != "as logged":
@@ -60,7 +64,9 @@ class Orientation:
             )
         elif self.against == "the arena" and self.fits[self.best] > MAX_MEDIAN_ERROR:
             out.append(
-                f"WARNING: the scan fits the arena badly ({100 * self.fits[self.best]:.0f} cm): check that it is the arena "
+                "the poses are odometry, whose frame is not that of the arena: `sensorgraph locate --arena` finds them in it"
+                if self.is_odometry
+                else f"WARNING: the scan fits the arena badly ({100 * self.fits[self.best]:.0f} cm): check that it is the arena "
                 "of this run, that poses and scans share a clock, and the mount"
             )
         return out
@@ -105,7 +111,10 @@ def orientation(run: Run, arena: Arena | None) -> Orientation | None:
             fits[name] = _against_map(ranges, lasers(sign, turn), run.sensor, arena, sign, turn)
         else:
             fits[name] = cells_filled(ranges, lasers(sign, turn), run.sensor.bearings, sign, turn)
-    return Orientation(fits=fits, against="itself" if arena is None else "the arena", n_scans=len(some))
+    return Orientation(
+        fits=fits, against="itself" if arena is None else "the arena", n_scans=len(some),
+        is_odometry=run.meta.get("pose_source", "").startswith("odometry"),
+    )  # fmt: skip
 
 
 def _other_turn(cells: Callable[[int, float], float]) -> dict[str, tuple[int, float]]:
