@@ -20,7 +20,7 @@ from logs.run import RangeSensor, Run
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_folder
-from sensorgraph.show.rerun_file import open_viewer
+from sensorgraph.show.rerun_file import DISPLAYS, open_viewer
 
 
 @contextmanager
@@ -166,6 +166,7 @@ def test_the_viewer_is_the_one_of_this_environment(tmp_path: Path, monkeypatch: 
     bin_folder.mkdir(parents=True)
     monkeypatch.setattr(sys, "executable", str(bin_folder / "python"))
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("DISPLAY", ":0")
     with pytest.raises(SensorgraphError, match=r"no viewer: .*env/bin/rerun"):
         open_viewer(tmp_path / "a.rrd")
     viewer = bin_folder / "rerun"
@@ -173,6 +174,11 @@ def test_the_viewer_is_the_one_of_this_environment(tmp_path: Path, monkeypatch: 
     viewer.chmod(0o755)
     open_viewer(tmp_path / "a.rrd").wait()
     assert (tmp_path / "seen").read_text() == f"--bind 127.0.0.1 {tmp_path}/a.rrd\n"
+    for name in DISPLAYS:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(SensorgraphError, match=r"needs a display; .*a\.rrd is written: .*--serve"):
+        open_viewer(tmp_path / "a.rrd")
 
 
 def test_a_review_holds_the_same_data_each_time(made: Path, tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ SETTLE = 1.5
 FLUSH = 5.0
 """[s] Longest time for which the end of a recording waits for the viewer."""
 LOOPBACK = "127.0.0.1"
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+"""Variables of the environment, of which Linux sets one where there is a display."""
 """Viewers accept connections from this machine only."""
 
 
@@ -111,8 +113,13 @@ def open_viewer(path: Path) -> subprocess.Popen[bytes]:
 
     Raises
     ------
-    SensorgraphError : There is no viewer.
+    SensorgraphError : There is no viewer, or no display.
     """
+    if sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
+        raise SensorgraphError(
+            f"rerun's viewer needs a display; {path} is written: open it on a machine with a display, or see it in a browser with "
+            "--serve in place of --show"
+        )
     return subprocess.Popen([_viewer(path), "--bind", LOOPBACK, str(path)])
 
 
