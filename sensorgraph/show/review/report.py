@@ -24,7 +24,10 @@ def report(review: Review) -> str:
         f"**Coverage**: {visited:,} cells of {cells.cell:g} m × {360 / N_HEADINGS:g}° visited.",
     ]
     if review.plan is not None and "coverage" in review.plan:
-        lines.append(f"The plan covers {100 * review.plan['coverage']:.2f} % of the reachable cells.")
+        share, grid = f"{100 * review.plan['coverage']:.2f} %", review.plan["grid"]
+        lines.append(
+            f"The plan covers {share} of its reachable cells of {grid['cell']:g} m × {360 / grid['headings']:g}°."
+        )
     if review.deviations is not None:
         lines += ["", _poses(review)]
     if review.evaluation is None or review.graph is None:
