@@ -233,8 +233,8 @@ class Pairing:
     """Reason -> number of scans without a pose for that reason."""
 
     def __str__(self) -> str:
-        reasons = "".join(f", {count} {reason}" for reason, count in self.dropped.items())
-        return f"{int(self.paired.sum())} of {len(self.paired)} scans paired with poses{reasons}"
+        reasons = "".join(f", {count:,} {reason}" for reason, count in self.dropped.items())
+        return f"{int(self.paired.sum()):,} of {len(self.paired):,} scans paired with poses{reasons}"
 
 
 @np.errstate(over="ignore", invalid="ignore")  # poses that are not finite are dropped and counted below

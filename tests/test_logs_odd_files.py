@@ -109,7 +109,7 @@ def test_a_sensorgraph_and_a_log_that_are_exchanged_are_named(tmp_path: Path) ->
     graph = tmp_path / "a.sensorgraph"
     write_members(graph, {"format": "sensorgraph"}, {})
     with pytest.raises(
-        logs.LogError, match="is a sensorgraph; give a log here, and the sensorgraph as GRAPH"
+        logs.LogError, match="is a sensorgraph; give a log here, and the sensorgraph where --help says GRAPH"
     ):
         logs.read(graph)
     (bag,) = write_bag2(tmp_path / "bag", trip()[:3]).glob("*.mcap")

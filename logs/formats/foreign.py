@@ -68,7 +68,7 @@ def described(head: bytes, name: str) -> str:
     if head.startswith(ZIP_MAGIC):
         at, member = GRAPH_HEADER
         if head[at:].startswith(member):
-            return "a sensorgraph; give a log here, and the sensorgraph as GRAPH"
+            return "a sensorgraph; give a log here, and the sensorgraph where --help says GRAPH"
         if head[at : at + int.from_bytes(head[26:28], "little")].endswith(b".npy"):
             return f"a numpy archive (npz); {GIVE_LOG}"
         return f"a zip archive; unpack it and give the log in it: unzip {name}"

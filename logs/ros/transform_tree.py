@@ -164,7 +164,7 @@ class TransformTree:
         """Describe each edge in one line."""
         return [
             f"{edge.parent} -> {edge.child}"
-            + (" (static)" if edge.is_static else f" ({len(edge.stamps)} samples")
+            + (" (static)" if edge.is_static else f" ({len(edge.stamps):,} samples")
             + ("" if edge.is_static else f", {edge.n_repeated} repeated)" if edge.n_repeated else ")")
             for edge in self.edges.values()
         ]

@@ -213,7 +213,7 @@ class _LogIntake:
                 f"{self.name}: the pose never changes over {n} scans; check that the robot moved and the reference was running. "
                 "Record while driving, or select the topic of the poses with `topics` pose=NAME"
             )
-        pairing = f"{self.counts['paired']} of {self.counts['n_scans']} scans paired with poses"
+        pairing = f"{self.counts['paired']:,} of {self.counts['n_scans']:,} scans paired with poses"
         logger.info("%s: %s", self.name, pairing)
         digest = self.digest.hexdigest() if self.digest is not None else ""
         out = {"name": self.name, "sha256": digest, **self.counts, "dropped": dict(self.dropped)}

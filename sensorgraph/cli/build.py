@@ -220,11 +220,11 @@ def _print_before_fit(logs: list[tuple[Path, LogStream]]) -> set[str]:
 def _report(graph: Sensorgraph, split: str | None, printed: set[str]) -> None:
     """Print how many scans of each run were used, and the fitted model; skip warnings that were printed before."""
     for entry in graph.origin["inputs"]:
-        dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())
-        held = f", {entry['held_out']} held out ({split})" if split else ""
+        dropped = "".join(f", {count:,} {why}" for why, count in entry["dropped"].items())
+        held = f", {entry['held_out']:,} held out ({split})" if split else ""
         typer.echo(
-            f"{entry['name']}: {entry['paired']} of {entry['n_scans']} scans paired with poses{dropped}{held}; "
-            f"{entry['trained']} fitted"
+            f"{entry['name']}: {entry['paired']:,} of {entry['n_scans']:,} scans paired with poses{dropped}{held}; "
+            f"{entry['trained']:,} fitted"
         )
         for text in entry.get("warnings", ()):
             line = f"warning: {entry['name']}: {with_flags(text)}"

@@ -44,6 +44,6 @@ def predict(
         result = model.predict(where, point=cast(Point, point), progress=tick)
     result.save(output)
     typer.echo(
-        f"wrote {output}: {len(where)} poses of {model.pose_frame} x {model.sensor.n_rays} rays, "
+        f"wrote {output}: {len(where):,} poses of {model.pose_frame} x {model.sensor.n_rays} rays, "
         f"{100 * float(result.answered.mean()):.1f} % answered"
     )

@@ -102,17 +102,18 @@ def show(
         ),
     ]
     for entry in origin["inputs"]:
-        dropped = "".join(f", {count} {why}" for why, count in entry["dropped"].items())
+        dropped = "".join(f", {count:,} {why}" for why, count in entry["dropped"].items())
         lines.append(
             (
                 "run",
-                f"{entry['name']}: {entry['paired']} of {entry['n_scans']} scans paired{dropped}, "
-                f"{entry['held_out']} held out, {entry['trained']} fitted; sha256 {entry['sha256'][:12]}",
+                f"{entry['name']}: {entry['paired']:,} of {entry['n_scans']:,} scans paired{dropped}, "
+                f"{entry['held_out']:,} held out, {entry['trained']:,} fitted; sha256 {entry['sha256'][:12]}",
             )
         )
     lines.append(("made by", f"sensorgraph {origin['software']}"))
+    width = max(len(label) for label, _ in lines)
     for label, text in lines:
-        typer.echo(f"{label:<10} {text}")
+        typer.echo(f"{label:<{width}}  {text}")
 
 
 def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topics: list[str]) -> None:
