@@ -42,3 +42,14 @@ def test_the_true_orientation_fits_best(run: Run, room: Arena, how: str, with_ma
 
 def test_a_run_without_poses_has_no_verdict(run: Run, room: Arena) -> None:
     assert orientation(replace(run, pose_stamps=np.zeros(0), poses=np.zeros((0, 3))), room) is None
+
+
+@pytest.mark.parametrize(
+    ("source", "said"), [("/pose", "WARNING: the scan fits"), ("odometry /odom", "the poses are odometry")]
+)
+def test_only_reference_poses_accuse_the_map(run: Run, room: Arena, source: str, said: str) -> None:
+    """Odometry begins at 0, wherever the robot is in the map."""
+    elsewhere = replace(run, poses=run.poses + [0.4, 0.3, 0.0], meta={"pose_source": source})
+    found = orientation(elsewhere, room)
+    assert found is not None and found.best == "as logged"
+    assert found.lines()[1].startswith(said)
