@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,6 +84,16 @@ def test_the_run_is_expected_to_bring_more_than_random_driving(
 @pytest.mark.parametrize("words", QUESTIONS)
 def test_the_run_takes_about_the_time_it_was_given(words: str, chosen: dict[str, NextRun]) -> None:
     assert 0.7 < chosen[words].trajectory.duration / (60 * MINUTES) < 1.06
+
+
+@pytest.mark.parametrize("words", QUESTIONS)
+def test_the_reason_is_given_in_sentences_and_places_have_a_unit(
+    words: str, chosen: dict[str, NextRun]
+) -> None:
+    why = chosen[words].why
+    assert why.startswith("The robot ") and f"Question: {words}?" in why and why.endswith(".")
+    places = re.findall(r"\(\d+\.\d, \d+\.\d\)(..)", why)
+    assert places and set(places) == {" m"}
 
 
 def test_same_seed_same_trajectory(arena: Arena, robot: Robot) -> None:

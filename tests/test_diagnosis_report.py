@@ -249,7 +249,8 @@ def test_the_next_run_is_shown_where_one_is_planned(found: Finding, tmp_path: Pa
         object.__setattr__(found, "next_run", None)
     html = (tmp_path / "report.html").read_text()
     assert "drive near and far" in html
-    assert "<span>expected log Bayes factor</span>340</div>" in html
+    assert "<span>expected log Bayes factor [nats]</span>340</div>" in html
+    assert "<summary>1 step</summary>" in html
     assert "<td>−14.3°</td>" in html  # not radians without a unit
     assert (tmp_path / "next_run.png").exists()
     assert json.loads((tmp_path / "report.json").read_text())["next_run"] == plan

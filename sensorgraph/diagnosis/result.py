@@ -54,7 +54,7 @@ class Deviation:
             "misses": f"{100 * self.size:.1f} % more rays without a return than expected",
         }[self.family]
         return (
-            f"{what} at {self.partition} {self.label}{self.about()} ({self.strength()}, {self.n_rays} rays)"
+            f"{what} at {self.partition} {self.label}{self.about()} ({self.strength()}, {self.n_rays:,} rays)"
         )
 
     def about(self) -> str:

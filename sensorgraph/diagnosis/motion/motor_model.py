@@ -307,7 +307,8 @@ class DriveModel:
             Column.TURN_PER_DISTANCE: "turns {:+.1f}° per metre driven, in addition to the command",
         }
         values = {
-            Column(k): np.degrees(x) if k == Column.TURN_PER_DISTANCE else 1 + x for k, x in freed.items()
+            Column(k): round(float(np.degrees(x)), 1) + 0.0 if k == Column.TURN_PER_DISTANCE else 1 + x
+            for k, x in freed.items()
         }
         said = [words[column].format(values[column]) for column in words if column in values]
         return f"a constant gain: the base {' and '.join(said)}"

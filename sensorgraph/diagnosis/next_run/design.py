@@ -239,12 +239,13 @@ def _explanation(
     """Return what the run does and why, in words."""
     phrases = [_phrase(motion, arena, robot) for motion in motions[:MAX_DESCRIBED]]
     more = f" and {len(motions) - MAX_DESCRIBED} more" if len(motions) > MAX_DESCRIBED else ""
-    return f"{'; '.join(phrases)}{more}: {question.text}? {question.hint}"
+    hint = f" {question.hint[0].upper()}{question.hint[1:]}." if question.hint else ""
+    return f"The robot {'; '.join(phrases)}{more}. Question: {question.text}?{hint}"
 
 
 def _phrase(motion: CandidateMotion, arena: Arena, robot: Robot) -> str:
     """Return what one motion does, in words."""
-    at = f"({motion.place[0]:.1f}, {motion.place[1]:.1f})"
+    at = f"({motion.place[0]:.1f}, {motion.place[1]:.1f}) m"
     if motion.kind is MotionKind.SPIN:
         return f"spins in both directions at {at}"
     facing = _faced_wall(arena, motion)
@@ -252,14 +253,14 @@ def _phrase(motion: CandidateMotion, arena: Arena, robot: Robot) -> str:
         degrees = np.degrees(SWEEP_ANGLE)
         return f"turns fast {degrees:.0f} degrees to either side at {at}, facing {facing}"
     x, y = motion.end
-    return f"drives back and forth at {robot.limits.v:g} m/s between {at} and ({x:.1f}, {y:.1f}), facing {facing}"
+    return f"drives back and forth at {robot.limits.v:g} m/s between {at} and ({x:.1f}, {y:.1f}) m, facing {facing}"
 
 
 def _remark_if_easy(median: float) -> str:
     """Return a remark if any run would decide the question."""
     if median < DECIDED_NATS:
         return ""
-    return f" (most random drives would also decide this: their median expected log Bayes factor is {median:,.0f})"
+    return f" Most random drives would also decide this: their median expected log Bayes factor is {median:,.0f}."
 
 
 def _faced_wall(arena: Arena, motion: CandidateMotion) -> str:

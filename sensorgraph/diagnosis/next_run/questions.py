@@ -68,7 +68,10 @@ def open_questions(
     if accepted:
         worst = max(accepted, key=_relative_stderr)
         rest = tuple(a for a in accepted if a is not worst)
-        text, hint = f"what is the size of the {_called(worst)}", f"it varies with {worst.effect.varies}"
+        text, hint = (
+            f"what is the size of the {_called(worst)}",
+            f"its residual varies with {worst.effect.varies}",
+        )
         return [OpenQuestion(truth=accepted, alternative=rest, text=text, hint=hint)]
     somewhere = [_is_there(one, accepted, why) for _, why, one in hidden if one is not None]
     if somewhere:
@@ -97,7 +100,7 @@ def _undecided(
 
 def _is_there(unseen: Amendment, accepted: tuple[Amendment, ...], why: str) -> OpenQuestion:
     """Return the question whether a further effect of observable size is present."""
-    hint = f"in this run: {why}" if why else f"it varies with {unseen.effect.varies}"
+    hint = f"in this run: {why}" if why else f"its residual varies with {unseen.effect.varies}"
     text = f"is there any {_called(unseen)}"
     return OpenQuestion(truth=(*accepted, unseen), alternative=accepted, text=text, hint=hint)
 

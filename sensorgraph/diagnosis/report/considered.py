@@ -49,7 +49,7 @@ def considered_section(ledger: Ledger) -> str:
     lead = (
         f"<p>{len(ledger)} hypotheses: the effects of the library, and families of differences without a name. Evidence "
         "is the log Bayes factor in addition to the accepted effects, less the price of the parameters and the place. "
-        "<code>sensorgraph why</code> explains each row.</p>"
+        "Evidence of a beaten hypothesis is that of its last fit. <code>sensorgraph why</code> explains each row.</p>"
     )
     return (
         f"<h2>What was considered, and what decided</h2>{lead}{_table(shown)}"
@@ -87,7 +87,7 @@ def _folded(entries: Sequence[Entry], words: str) -> str:
 
 def _table(entries: Sequence[Entry]) -> str:
     head = (
-        "<tr><th>hypothesis</th><th>best place and size</th><th class='n'>evidence</th><th class='n'>price</th>"
+        "<tr><th>hypothesis</th><th>best place and size</th><th class='n'>evidence [nats]</th><th class='n'>price [nats]</th>"
         "<th>verdict</th></tr>"
     )
     return f"<table class='ledger'>{head}{''.join(map(_row, entries))}</table>"

@@ -100,8 +100,8 @@ def _gap_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
     rays = f" ({gap.n_rays:,} rays)" if gap is not None else ""
     caption = (
         f"Measured on held-out readings{rays}; map and poses may shift within their tolerances, before and after. "
-        "Noise floor: the gap of readings drawn from the amended model. Right: negative log-likelihood per reading; smaller "
-        "is better."
+        "Noise floor: the gap of readings drawn from the amended model. Right: negative log-likelihood in nats per reading, "
+        "less that of the noise floor; smaller is better."
     )
     shown = picture(pictures.get("gap"), "Gap before, after, noise floor", caption)
     return f"<h2>Size of the gap</h2>{shown}" if shown else ""
@@ -129,7 +129,7 @@ def _effect(a: Amendment) -> str:
     joined = "<br>".join(filter(None, [equation, numbers]))
     facts = {
         "probability": percent(a.probability),
-        "log Bayes factor": "–" if a.evidence is None else f"{a.evidence:,.0f}",
+        "log Bayes factor": "–" if a.evidence is None else f"{a.evidence:,.0f} nats",
         "size": f"{a.ratio:.1f} × the tolerance" if a.ratio != float("inf") else "",
         "place": place_text(a),
         "channel": CHANNELS[a.effect.channel],
@@ -166,7 +166,7 @@ def _rivals_section(finding: Finding) -> str:
             f'<td class="n">{minus(f"{behind:,.0f}")}</td><td>{escape(rival.separates)}</td></tr>'
         )
     head = (
-        "<tr><th>found</th><th>runner-up</th><th class='n'>log Bayes factor between them</th>"
+        "<tr><th>found</th><th>runner-up</th><th class='n'>log Bayes factor between them [nats]</th>"
         "<th>what would distinguish them</th></tr>"
     )
     close = undecided_rivals(finding)
@@ -188,8 +188,9 @@ def _deviations_section(finding: Finding, pictures: Mapping[str, Path]) -> str:
         else "<p>No part of the data deviates by more than the tolerances of map, mount, poses and clock.</p>"
     )
     caption = (
-        "Residuals of the bare simulator over the quantities they may depend on; bands: two standard errors. Upper row: mean "
-        "of measured − simulated. Lower row: scatter, or the share of missing returns, unexpected returns and outliers."
+        "Residuals at the reference poses, without the corrections of the list above, over the quantities they may depend on; "
+        "before: the bare simulator, after: with the effects found; bands: two standard errors. Upper row: mean of measured − "
+        "simulated. Lower row: scatter, or the share of missing returns, unexpected returns and outliers."
     )
     return f"<h2>Deviations before any effect</h2><p>Residuals after map, mount, clocks and poses are corrected within their tolerances.</p>{text}{picture(pictures.get('residuals'), 'Residuals by bearing, range, incidence, time, turn rate, speed', caption)}"
 
@@ -244,12 +245,14 @@ def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Pat
     if not plan:
         return ""
     facts = {
-        "expected log Bayes factor": f"{plan['expected_nats']:,.0f}",
+        "expected log Bayes factor [nats]": f"{plan['expected_nats']:,.0f}",
         "of a median random run": f"{plan['median_random_run_nats']:,.0f}",
         "duration": f"{plan['duration_s']:.0f} s",
         "path": f"{plan['path_m']:.1f} m",
     }
-    asked = "".join(f"<li>{escape(question)}</li>" for question in plan["questions"])
+    others = "".join(f"<li>{escape(question)}?</li>" for question in plan["questions"][1:])
+    asked = f"<p>It also helps to answer:</p><ul>{others}</ul>" if others else ""
+    n = len(plan["steps"])
     head = "".join(f"<th>{name}</th>" for name in ("step", "place [m]", "heading", "way [m]"))
     rows = "".join(
         f"<tr><td>{escape(step['kind'])}</td><td>{_value(step['place'])}</td>"
@@ -257,10 +260,10 @@ def _next_run_section(plan: Mapping[str, Any] | None, pictures: Mapping[str, Pat
         for step in plan["steps"]
     )
     return (
-        f"<h2>The next run</h2><p>{escape(plan['why'])}</p><ul>{asked}</ul>"
+        f"<h2>The next run</h2><p>{escape(plan['why'])}</p>{asked}"
         + _grid(facts)
         + picture(pictures.get("next_run"), "Path of the next run", "")
-        + f"<details><summary>{len(plan['steps'])} steps</summary><table><tr>{head}</tr>{rows}</table></details>"
+        + f"<details><summary>{n} step{'s' * (n != 1)}</summary><table><tr>{head}</tr>{rows}</table></details>"
     )
 
 

@@ -46,6 +46,7 @@ def number(value: float, error: float | None = None, *, signed: bool = False) ->
     else:
         digits = 2 if value == 0 else 2 - math.floor(math.log10(abs(value)))
     digits = min(max(digits, 0), 6)
+    value = round(value, digits) + 0.0  # without the sign of a zero
     text = f"{value:{'+' if signed else ''}.{digits}f}"
     if known and error is not None:
         text += f" ± {error:.{digits}f}"

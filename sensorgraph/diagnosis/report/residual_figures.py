@@ -55,7 +55,7 @@ def residuals_picture(finding: Finding, compared: ComparedScans, path: Path) -> 
     measures = (Measure.MEAN, _second_measure(finding.channels.get("scan")))
     figure = new_figure(11.0, 3.9, layout=None)
     grid = figure.subplots(2, len(covariates), sharey="row")
-    figure.subplots_adjust(left=0.06, right=0.995, top=0.90, bottom=0.115, wspace=0.10, hspace=0.18)
+    figure.subplots_adjust(left=0.06, right=0.985, top=0.90, bottom=0.115, wspace=0.10, hspace=0.18)
     for charts, measure in zip(grid, measures, strict=True):
         ranges = [
             _draw_profiles(axes, compared, measure, values, edges)
@@ -177,7 +177,7 @@ def gap_picture(gaps: dict[str, Gap], second: Gap | None, path: Path) -> None:
         columns = (
             (f"{title}: RMS gap [{unit}]", [100 * f.rmse_m for f in fits]),
             ("times the noise floor", [f.normalised / floor for f in fits]),
-            ("negative log-likelihood per reading", [f.nats_per_ray - least for f in fits]),
+            ("negative log-likelihood per reading [nats]", [f.nats_per_ray - least for f in fits]),
         )
         for axes, (label, values) in zip(charts, columns, strict=True):
             if not np.isfinite(values).all():
