@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sensorgraph.diagnosis.report.page_shell import page_shell
+from sensorgraph.diagnosis.report.quantities import percent
 from sensorgraph.surveying.drawing import change_map, trend
 from sensorgraph.surveying.quantities import LABELS, quantities_of
 from sensorgraph.surveying.result import Fleet, RobotChange
@@ -17,7 +18,7 @@ MAX_TRENDS = 60
 """Maximum number of trends without a change that are drawn."""
 MAX_LINES = 12
 """Maximum number of changes above the table."""
-WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:repeat(auto-fill,minmax(25rem,1fr));gap:1.4rem} .trends figure{margin:0} .trends figcaption{margin:0 0 .3rem;color:var(--ink)} table{font-size:.84rem} td.n{white-space:nowrap} .scroll{overflow-x:auto} svg{max-width:100%;height:auto}</style>"
+WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(25rem,100%),1fr));gap:1.4rem} .trends figure{margin:0} .trends figcaption{margin:0 0 .3rem;color:var(--ink)} table{font-size:.84rem} td.n{white-space:nowrap} .scroll{overflow-x:auto} svg{max-width:100%;height:auto}</style>"
 
 
 def fleet_page(fleet: Fleet) -> str:
@@ -46,7 +47,7 @@ def _changes(fleet: Fleet) -> str:
         f"<tr><td>{escape(one.robot)}</td><td>{escape(LABELS[one.quantity].title)}</td>"
         f'<td class="n">{LABELS[one.quantity].change(one.size, one.sigma)}</td>'
         f"<td>{'drift over all logs' if one.is_drift else escape(one.day)}</td>"
-        f'<td class="n">{_percent(one.probability)}</td>'
+        f'<td class="n">{percent(one.probability)}</td>'
         f"<td>{', '.join(LABELS[name].title for name in one.seen_in)}</td></tr>"
         for one in (*fleet.changes, *fleet.possible)
     ]
@@ -63,7 +64,7 @@ def _odd(fleet: Fleet) -> str:
     rows = [
         f"<tr><td>{escape(one.robot)}</td><td>{escape(LABELS[one.quantity].title)}</td>"
         f'<td class="n">{LABELS[one.quantity].change(one.size, one.sigma)}</td>'
-        f'<td class="n">{_percent(one.probability)}</td></tr>'
+        f'<td class="n">{percent(one.probability)}</td></tr>'
         for one in fleet.odd
     ]
     return (
@@ -132,10 +133,14 @@ def _maps(fleet: Fleet) -> str:
         if own:
             parts.append(
                 f"<figure>{change_map(walls, cells)}<figcaption>{escape(place)}, {len(own)} logs: "
-                f"{len(cells['new'])} cells with something new (orange), {len(cells['gone'])} cells where a wall is "
+                f"{_cells(cells['new'])} with something new (orange), {_cells(cells['gone'])} where a wall is "
                 "gone (blue); the more logs show a cell, the darker it is.</figcaption></figure>"
             )
     return f"<h2>Changes of the building</h2>{''.join(parts)}" if parts else ""
+
+
+def _cells(some: Mapping[tuple[float, float], int]) -> str:
+    return f"{len(some)} cell{'s' * (len(some) != 1)}"
 
 
 def _counted(cells: Sequence[Sequence[Sequence[float]]]) -> dict[tuple[float, float], int]:
