@@ -152,13 +152,11 @@ def _scaled(value: float | None, unit: str) -> str:
 
 def hidden_effect_lines(hidden: HiddenEffect) -> list[str]:
     """Return the printed lines: the hidden effect, the diagnosis, and the gap before and after."""
+    from sensorgraph.diagnosis.report.quantities import brief
     from sensorgraph.diagnosis.report.summary import summarise
 
-    planted = hidden.planted
-    place = f" at {planted.place}" if planted.place else ""
-    values = ", ".join(f"{k} {v:g}" for k, v in planted.parameters.items())
     lines = [
-        f"hidden by seed:  {planted.effect.title}{place} ({values})",
+        f"hidden by seed:  {brief(hidden.planted)}",
         f"diagnosis:       {summarise(hidden.finding).headline}",
     ]
     gap = hidden.finding.second_gap
@@ -166,7 +164,7 @@ def hidden_effect_lines(hidden: HiddenEffect) -> list[str]:
         lines.append(
             f"second run:      gap {100 * gap.before.rmse_m:.2f} -> {100 * gap.after.rmse_m:.2f} cm, "
             f"noise floor {100 * gap.noise_floor.rmse_m:.2f} cm; mean negative log likelihood of a ray "
-            f"{gap.before.nats_per_ray:.2f} -> {gap.after.nats_per_ray:.2f}"
+            f"{gap.before.nats_per_ray:.2f} -> {gap.after.nats_per_ray:.2f} nats"
         )
     return lines
 
@@ -191,10 +189,11 @@ def comparison_table(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
         ("median error of all rays", "median_m", 100, "cm"),
         ("MAE", "mae_m", 100, "cm"),
         ("RMSE", "rmse_m", 100, "cm"),
-        ("Pearson r", "pearson_r", 1, ""),
     ):
         values = [drive["all"][name] for drive in drives]
-        rows.append((label, ["–" if v is None else f"{scale * v:.3g} {unit}".strip() for v in values]))
+        rows.append((label, ["–" if v is None else f"{scale * v:.3g} {unit}" for v in values]))
+    correlations = [drive["all"]["pearson_r"] for drive in drives]
+    rows.append(("Pearson r", ["–" if r is None else f"{r:.3f}" for r in correlations]))
     width = max(len(label) for label, _ in rows)
     columns = [max(len(head), *(len(cells[k]) for _, cells in rows)) for k, head in enumerate(heads)]
 
