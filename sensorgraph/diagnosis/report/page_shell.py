@@ -48,7 +48,8 @@ ul { padding-left: 1.1rem; margin: .5rem 0; } li { margin: .2rem 0; }
 details summary { cursor: pointer; color: var(--soft); font-size: .92rem; margin-top: .6rem; }
 footer { margin-top: 4rem; padding-top: 1rem; border-top: 1px solid var(--line); color: var(--soft); font-size: .85rem; }
 @media (max-width: 48rem) { main { padding: 1.5rem 1rem 3rem; } header { padding-left: .9rem; } h1 { font-size: 1.4rem; }
-  table { display: block; overflow-x: auto; } th, td { min-width: 4.5rem; } .wide, figure { overflow-x: auto; } .wide svg, figure img { min-width: 36rem; }
+  table { display: block; overflow-x: auto; } th, td { min-width: 4.5rem; }
+  td:last-child:not(.n) { min-width: 12rem; } .wide, figure { overflow-x: auto; } .wide svg, figure img { min-width: 36rem; }
   figcaption { position: sticky; left: 0; } }
 @media print { main { padding: 0; max-width: none; } body { font-size: 11pt; } figure, .effect, tr { break-inside: avoid; }
   h2 { break-after: avoid; } }
