@@ -55,5 +55,5 @@ def test_a_sweep_is_located_where_the_odometry_stands_and_the_robot_turns(
 
 @any_times
 def test_a_run_that_agrees_with_its_odometry_is_unchanged(times: Callable[[Run], Run]) -> None:
-    followed = track_run(times(swept(looking_about(FINE))), lambda done, total: None)
-    assert with_motion_of_scans(followed, lambda done, total: None) is followed
+    followed = track_run(times(swept(looking_about(FINE))))
+    assert with_motion_of_scans(followed) is followed

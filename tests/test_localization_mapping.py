@@ -26,6 +26,7 @@ from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.settings import CLOSURES
 from sensorgraph.localization.submaps import cut_submaps
 from sensorgraph.localization.wheels import corrected_steps, identify_wheels
+from sensorgraph.types import no_progress
 
 
 def aligned(found: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +177,7 @@ def test_view_goes_on_while_a_robot_drives_and_breaks_where_it_is_carried() -> N
     odometry = np.concatenate([one.odometry, compose(one.odometry[-1], two.odometry)])
     carried = replace(room_run(TRUTH), ranges=np.concatenate([one.ranges, two.ranges]), odometry=odometry)
     for run, first in ((room_run(TRUTH), []), (carried, [60])):
-        tracked = track(scan_points(run), run.stamps, run.odometry, lambda done, total: None)
+        tracked = track(scan_points(run), run.stamps, run.odometry, no_progress)
         assert np.flatnonzero(~tracked.is_continuous)[:1].tolist() == first
 
 
@@ -189,7 +190,7 @@ def test_robot_that_is_pushed_while_its_wheels_stand_is_followed_by_its_scans(sp
     run = room_run(np.column_stack([x, np.zeros((len(x), 2))]), walls=[*box, *posts], n_rays=180)
     odometry = run.odometry.copy()
     odometry[60:] = odometry[60]
-    tracked = track(scan_points(run), run.stamps, odometry, lambda done, total: None)
+    tracked = track(scan_points(run), run.stamps, odometry, no_progress)
     assert (
         np.abs(tracked.poses[:, 0] - x).max() < 0.5 * speed
     )  # what it moves until a standing robot is looked at again
@@ -253,7 +254,7 @@ def test_closure_that_puts_walls_where_rays_went_through_is_told() -> None:
     poses = loop_poses(80, laps=2)
     run = room_run(poses)
     scans = scan_points(run)
-    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_ticks)
+    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_progress)
     older, newer = cut_submaps(scans, tracked)[0], cut_submaps(scans, tracked)[-1]
     true = compose(
         invert(poses[older.frames[older.key_frames == older.middle][0]]),
@@ -274,7 +275,7 @@ def test_closure_that_puts_walls_where_rays_went_through_is_told() -> None:
 def test_match_that_does_not_tell_the_heading_is_no_closure() -> None:
     run = room_run(loop_poses(80, laps=2))
     scans = scan_points(run)
-    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_ticks)
+    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_progress)
     closer = LoopCloser(scans, tracked)
     one, pose = closer.submaps[0], np.zeros(3)
     for turn_sd, word in ((0.001, ""), (1.0, "heading")):
@@ -287,7 +288,7 @@ def test_match_that_does_not_tell_the_heading_is_no_closure() -> None:
 def test_closures_do_not_depend_on_how_many_fields_are_kept_in_memory() -> None:
     run = room_run(TRUTH)
     scans = scan_points(run)
-    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_ticks)
+    tracked = track(scans, run.stamps, odometry_at_scans(run, odometry_of(run)), no_progress)
     few, many = (LoopCloser(scans, tracked, size=8, kept_fields=n) for n in (2, 128))
     kept = [[(one.first, one.second) for one in closer.run(no_ticks).kept] for closer in (few, many)]
     assert kept[0] == kept[1] and kept[0]

@@ -80,7 +80,7 @@ def test_a_part_that_is_older_is_found(older: tuple[int, int], age: float, tmp_p
 
 
 def tracked(run: Run) -> TrackedRun:
-    return track_run(run, lambda done, total: None)
+    return track_run(run)
 
 
 @cache

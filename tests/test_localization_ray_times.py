@@ -63,7 +63,7 @@ def _sought(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def followed(run: Run) -> TrackedRun:
-    return track_run(run, lambda done, total: None)
+    return track_run(run)
 
 
 def scatter(found: TrackedRun) -> float:

@@ -29,7 +29,7 @@ from sensorgraph.localization.scan_track import (
 from sensorgraph.localization.scans import ScanPoints, contradicts, scan_points
 from sensorgraph.localization.settings import EDGE_FLOOR, FRONT_END, MATCH, WHEELS
 from sensorgraph.localization.wheels import WheelEstimate
-from sensorgraph.types import Floats, Progress
+from sensorgraph.types import Floats, Progress, ProgressBars, no_progress
 
 WINDOW = 40
 """Number of recent key frames in the map to match against."""
@@ -376,7 +376,7 @@ class Tracker:
 
 
 def track(
-    scans: ScanPoints, stamps: Floats, odometry: Floats | None, progress: Progress, spacing: float = 1.0
+    scans: ScanPoints, stamps: Floats, odometry: Floats | None, progress: ProgressBars, spacing: float = 1.0
 ) -> ScanTrack:
     """Track all scans.
 
@@ -386,7 +386,8 @@ def track(
     odometry : (n_scans, 3) [m, m, rad] Odometry at the scans; None: the scans alone.
     spacing : Distance and turn between key frames, relative to those of `FRONT_END`.
     """
-    return Tracker(scans, stamps, odometry, spacing).run(progress)
+    with progress("tracking", "scans") as tick:
+        return Tracker(scans, stamps, odometry, spacing).run(tick)
 
 
 def track_part(run: Run, part: slice, motion: Motion | None = None) -> tuple[ScanPoints, ScanTrack]:
@@ -394,4 +395,4 @@ def track_part(run: Run, part: slice, motion: Motion | None = None) -> tuple[Sca
     some = run.take_scans(part)
     scans = scan_points(some, motion)
     odometry = None if motion is None else motion.at(some.stamps)
-    return scans, track(scans, some.stamps, odometry, lambda done, total: None)
+    return scans, track(scans, some.stamps, odometry, no_progress)

@@ -60,8 +60,7 @@ def locate_in_map(
         fit = best_fit(looks(run), place)
         if fit < MAP_TRACKING.near_fit:
             raise SensorgraphError(_no_fit(run, place, fit, name))
-    with progress("following the scans", "scans") as tick:
-        followed = with_motion_of_scans(track_run(run, tick), tick)
+    followed = with_motion_of_scans(track_run(run, progress), progress)
     odometry, scans, steps = followed.odometry, followed.scans, followed.track
     with progress(f"locating in {name}", "scans") as tick:
         found = MapTracker(scans, run.stamps, steps, place).run(tick)

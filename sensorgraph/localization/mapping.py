@@ -72,8 +72,8 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     """
     if run.n_scans == 0:
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
-    with progress("tracking", "scans") as bar:
-        followed = without_moving_returns(with_motion_of_scans(track_run(run, bar), bar), bar)
+    followed = with_motion_of_scans(track_run(run, progress), progress)
+    followed = without_moving_returns(followed, progress)
     odometry, scans, tracked = followed.odometry, followed.scans, followed.track
     if len(tracked.key_frames) == 0:
         return _without_returns(run, tracked)

@@ -34,7 +34,7 @@ from sensorgraph.localization.result import WheelParameters, true_intervals
 from sensorgraph.localization.scans import NOISE_MARGIN, ScanPoints, crossed, moved_points, scan_points
 from sensorgraph.localization.settings import CLOSURES
 from sensorgraph.localization.wheels import corrected_steps
-from sensorgraph.types import Bools, Floats, Ints, Progress
+from sensorgraph.types import Bools, Floats, Ints, ProgressBars, no_progress
 
 MIN_SUPPORTING = 4.0
 """Mean number of readings that support one motion between two scans; fewer may be chance ..."""
@@ -65,7 +65,7 @@ class OdometryVerdict:
         return cls(is_false=none, is_sure=none.copy(), doubt=np.zeros((n, 3)))
 
 
-def with_motion_of_scans(followed: TrackedRun, progress: Progress) -> TrackedRun:
+def with_motion_of_scans(followed: TrackedRun, progress: ProgressBars = no_progress) -> TrackedRun:
     """Return a tracked run whose sweeps are deskewed by the track where it contradicts the odometry, and tracked again.
 
     Sweeps stay as they are where readings show that the odometry is right, or do not decide.
@@ -87,7 +87,7 @@ def with_motion_of_scans(followed: TrackedRun, progress: Progress) -> TrackedRun
     return replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress))
 
 
-def without_moving_returns(followed: TrackedRun, progress: Progress) -> TrackedRun:
+def without_moving_returns(followed: TrackedRun, progress: ProgressBars = no_progress) -> TrackedRun:
     """Return a tracked run without the readings that go along with the robot, and a note where there are any."""
     run, odometry, measured = followed.run, followed.odometry, odometry_of(followed.run)
     learned = followed.track.wheels

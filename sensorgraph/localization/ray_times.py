@@ -36,7 +36,7 @@ from sensorgraph.localization.turning_pieces import (
     TurningPieces,
     sweep_basis,
 )
-from sensorgraph.types import Floats, Progress
+from sensorgraph.types import Floats, ProgressBars, no_progress
 
 STEPS = 10
 """Maximum number of Gauss-Newton steps. Points are deskewed again before each, because smeared surfaces hide a fifth of the
@@ -70,7 +70,7 @@ class TrackedRun:
     """Notes about the ray times."""
 
 
-def track_run(run: Run, progress: Progress) -> TrackedRun:
+def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
     """Track all scans, with the ray times of the log or, if the run contradicts them, with those that it shows.
 
     Ray times of a robot.yaml are not tested. Rays are deskewed with the velocity of the odometry. Without odometry a first track without deskewing gives
@@ -89,12 +89,13 @@ def track_run(run: Run, progress: Progress) -> TrackedRun:
         return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=filled)
     motion = odometry_motion or motion_of_track(run, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
-    dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry)
-    pieces = None if is_given else TurningPieces.of(run, odometry, dense)
     sensor, notes = run.sensor, tuple[str, ...]()
-    if pieces is not None:
-        turned = turned_left(tracked.poses, odometry)
-        sensor, notes = _corrected(run.sensor, pieces, motion, turned)
+    with progress("estimating ray times", ""):
+        dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry)
+        pieces = None if is_given else TurningPieces.of(run, odometry, dense)
+        if pieces is not None:
+            turned = turned_left(tracked.poses, odometry)
+            sensor, notes = _corrected(run.sensor, pieces, motion, turned)
     is_new, run, notes = sensor is not run.sensor, replace(run, sensor=sensor), (*filled, *notes)
     if is_new or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
@@ -170,7 +171,7 @@ def _at_equal_times(
     lag: ScanLag,
     scans: ScanPoints,
     tracked: ScanTrack,
-    progress: Progress,
+    progress: ProgressBars,
 ) -> tuple[ScanLag, Floats, ScanTrack]:
     """Return the lag of the scans, the odometry at their times, and the track.
 
@@ -196,7 +197,7 @@ def _with_more_key_frames(
     share = len(tracked.key_frames) / (MIN_PIECES * PIECE_FRAMES)
     if share >= 1:
         return tracked
-    return track(scans, stamps, odometry, lambda done, total: None, spacing=share)
+    return track(scans, stamps, odometry, no_progress, spacing=share)
 
 
 def motion_of_track(run: Run, tracked: ScanTrack, deskewed_by: Motion | None = None) -> Motion:
