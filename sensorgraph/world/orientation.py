@@ -53,7 +53,9 @@ class Orientation:
     def lines(self) -> list[str]:
         """Return the fit of each orientation, and advice if another one fits better."""
         unit, scale = (
-            ("median error in cm", 100.0) if self.against == "the arena" else ("number of cells filled", 1.0)
+            ("median error in cm", 100.0)
+            if self.against == "the arena"
+            else ("cells filled, fewer is better", 1.0)
         )
         fits = ", ".join(f"{name} {scale * value:,.0f}" for name, value in self.fits.items())
         out = [f"scan against {self.against} ({self.n_scans} scans, {unit}): {fits}"]
