@@ -9,11 +9,11 @@ that the graph predicts, the likelihood of a scan is
 where w is the share of independent readings. At the pose, q has the density f(q) = a q^(a - 1), whose mean a / (a + 1)
 is the prior share of predicted readings. At another place, any share is equally probable: f(q) = 1.
 
-A ray that the graph does not answer ends in unknown surroundings. Its reading is one from anywhere, with R_i = 1, or the
-surroundings resemble those of another pose, whose R_i it has. Where the graph answers only the share a of the rays, these end
-close to the unknown: an answer holds with the probability a. A reading that does not fit has a R_i + (1 - a) times that of
-unknown surroundings. The graph may also know a surface, but not well. A reading that fits there has the greater R_i of both.
-Surroundings that resemble others do so by a share that persists. So f counts with which the scan is more probable.
+A ray that stays in space that the graph does not know has R_i = 1, as a reading from anywhere. Or the surroundings resemble those
+of another pose, whose R_i it has. Where the graph answers only the share a of the rays, these end close to the unknown: an answer
+holds with the probability a. A reading that does not fit has a R_i + (1 - a) times that of unknown surroundings. The graph may also
+know a surface, but not well. A reading that fits there has the greater R_i of both. Surroundings that resemble others do so by a
+share that persists. So f counts with which the scan is more probable.
 """
 
 from __future__ import annotations

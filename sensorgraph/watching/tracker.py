@@ -3,13 +3,13 @@
 Each possible pose (a mode) is a normal distribution, which the odometry moves and a match of the scan to the surfaces of
 the graph corrects. Where the scan matches no surfaces, the evidence of the readings corrects it: the mode is a mixture of
 seven parts, which the readings weigh. Their evidence also weighs the mode against another place that resembles it
-(`resemblance`). An offset of all ranges is estimated with the pose. A robot is carried away, or back, at a known rate. This is a hidden Markov model; its probabilities are the
-result. A search of the whole place finds other modes when the evidence stays below the usual one by as much as another
+(`resemblance`). An offset of all ranges is estimated with the pose. A robot is carried away, or back, at a known rate. This is a
+hidden Markov model; its probabilities are the result. A search of the whole place finds other modes when the evidence stays below the usual one by as much as another
 place could gain. A new mode has half the prior of one among all places that can be told apart. The other half is that of a
 place outside the graph that resembles it.
 
-A ray that the graph does not answer says nothing for or against a mode: its reading is one from anywhere. So a robot that
-drives outside what the graph knows goes on by odometry, with a growing covariance. Since its surroundings may look like those of
+A ray says as much for or against a mode as space that training rays crossed lies on its way (`readings`). A robot that drives
+outside what the graph knows goes on by odometry, with a growing covariance. Since its surroundings may look like those of
 another mode, this is a hypothesis of its own, with a prior of one among all places.
 """
 
