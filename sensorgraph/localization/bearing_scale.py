@@ -13,21 +13,12 @@ import numpy as np
 
 from logs.motion import Motion
 from logs.run import RangeSensor
-from logs.transforms import compose, invert, wrap
-from sensorgraph.localization.turning_pieces import LinearisedPieces, TurningPieces, sweep_basis
-from sensorgraph.types import Floats
+from sensorgraph.localization.turning_pieces import MAX_STEPS, LinearisedPieces, TurningPieces, sweep_basis
 
 LEAST = 0.005
 """Minimum relative error of the step that is corrected: 0.7° at either end of a view of 270°."""
 MOST = 0.3
 """Maximum relative error that is sought; a narrow view may show any."""
-MAX_STEPS = 10
-"""Maximum number of Gauss-Newton steps. Each leaves half of an error or less; where the scans hardly show it, as those of a robot
-that only spins, the steps stray for longer."""
-SPAN = 10
-"""Number of scans over which the directions of motions are compared ..."""
-MIN_WAY = 0.1
-"""[m] ... if the robot moves so far meanwhile."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +57,7 @@ def estimated_scale(
     """
     basis, bearings = sweep_basis(sensor.n_rays), sensor.bearings - sensor.bearings.mean()
     scale, times, equations = 1.0, np.zeros(basis.shape[1]), start
-    for step in range(MAX_STEPS):
+    for step in range(MAX_STEPS):  # each leaves half of an error or less
         found = equations.estimate(basis, bearings[:, None])
         change, stderr = float(found.change[-1]), float(np.sqrt(found.covariance[-1, -1]))
         scale, times = scale + change, times + found.change[:-1]
@@ -85,7 +76,7 @@ def kept_ray(sensor: RangeSensor, scale: float, turned: float | None) -> str:
 
     Parameters
     ----------
-    turned : [rad] From `turned_left`, which the kept ray explains best. None: the first one is kept.
+    turned : [rad] From the motion of the odometry to that of the scans, which the kept ray explains best. None: the first one is kept.
     """
     kept = _kept(sensor)
     if turned is None:
@@ -97,13 +88,3 @@ def _kept(sensor: RangeSensor) -> dict[str, float]:
     """Return the bearings that may be right."""
     first, last = map(float, sensor.bearings[[0, -1]])
     return {"first": first, "middle": 0.5 * (first + last), "last": last}
-
-
-def turned_left(tracked: Floats, odometry: Floats | None) -> float | None:
-    """Return the angle [rad] by which scans (n_scans, 3) move to the left of the odometry; None if it is not known."""
-    if odometry is None or len(odometry) <= SPAN:
-        return None
-    a, b = (compose(invert(poses[:-SPAN]), poses[SPAN:]) for poses in (tracked, odometry))
-    far = np.hypot(b[:, 0], b[:, 1]) > MIN_WAY
-    angles = wrap(np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0]))[far]
-    return float(np.median(angles)) if far.any() else None

@@ -6,8 +6,8 @@ M c = g of the sectors, the part b with the largest
 
     gain(b) = (b'g)² / b'M b
 
-must explain nearly all of g'M⁻¹g. A sweep is a ramp: where a ramp explains more than any part, there are no older rays. A part
-that is far off starts with the time at which most of its points match the others.
+must explain `MIN_EXPLAINED` of g'M⁻¹g at every step. No part explains more than 3/4 of a sweep, which is a ramp, nor of wrong
+bearings. A part that is far off starts with the time at which most of its points match the others.
 
 Points of a part that is 0.2 s older are decimetres from those of the others, where no linearised residual sees them. So
 points are counted: C[d, s, t] is the number of points of fine sector s, with its rays d later, in cells that have points of
@@ -25,30 +25,31 @@ import numpy as np
 
 from logs.motion import Motion
 from logs.run import RangeSensor
+from sensorgraph.localization.line_map import bucket_key
 from sensorgraph.localization.point_rows import FramePoints
-from sensorgraph.localization.scan_lag import MIN_LAG
+from sensorgraph.localization.scan_lag import MIN_LAG, N_STEPS
 from sensorgraph.localization.scans import scan_points
-from sensorgraph.localization.turning_pieces import MIN_GAIN, LinearisedPieces, TimeEstimate, TurningPieces
+from sensorgraph.localization.turning_pieces import (
+    MAX_STEPS,
+    MIN_GAIN,
+    LinearisedPieces,
+    TimeEstimate,
+    TurningPieces,
+)
 from sensorgraph.types import Bools, Floats, Ints
 
 SECTORS = 12
 """Number of parts of the field of view."""
-MAX_STEPS = 30
-"""Maximum number of Gauss-Newton steps: a part of most rays takes the poses with it, at first, and steps are short."""
 ENDS = 20
 """Number of groups of rays about each end of a part, of which each gets a time of its own."""
-STEPS = 4
-"""Number of Gauss-Newton steps of these times; each finds half of the rest, or more."""
-MIN_EXPLAINED = 0.9
-"""Share of the gain of all sectors that a part must explain; of a ramp it explains at most 3/4."""
+MIN_EXPLAINED = 0.8
+"""Share of the gain of all sectors that a part must explain."""
 FINE_SECTORS = 48
 """Number of sectors in which points are counted. Ends of a part within larger ones hide it."""
 CELL = 0.1
 """[m] Side of a cell: noise and curvature of the track stay within it, 50 ms of a turn do not."""
 TIMES = np.arange(-6, 7) * 0.05
 """(13,) [s] Times that are tried."""
-_ROW = 1_000_003
-"""Number of cells in a row of the map, at most."""
 
 
 def _parts(n: int) -> Bools:
@@ -57,8 +58,7 @@ def _parts(n: int) -> Bools:
     return np.array([(first <= np.arange(n)) & (end > np.arange(n)) for first, end in ends])
 
 
-PATTERNS = np.vstack([_parts(SECTORS)[:, 1:].astype(np.float64), np.arange(1, SECTORS) / SECTORS])
-"""Times of the sectors relative to the first one: of each part, and last of a ramp."""
+_PATTERNS = _parts(SECTORS)[:, 1:].astype(np.float64)
 _PARTS = _parts(FINE_SECTORS)
 
 
@@ -106,27 +106,28 @@ def identify_older_rays(
     basis = (sector[:, None] == np.arange(1, SECTORS)).astype(np.float64)
     values = np.asarray([time * part[np.argmax(column)] for column in basis.T])
     equations = rays.linearised(basis @ values) if time else start
-    for step in range(MAX_STEPS):
+    for _ in range(MAX_STEPS):
         found = equations.estimate(basis)
         values = values + found.change
-        if step == 0 and np.ptp(np.append(values, 0.0)) < 0.5 * MIN_LAG:  # it finds half, or more
-            return None
-        *of_parts, of_ramp = _gains(values, found)
-        if of_ramp > max(of_parts):
+        best, share = _best_pattern(values, found)
+        if (
+            np.ptp(np.append(values, 0.0)) < 0.5 * MIN_LAG or share < MIN_EXPLAINED
+        ):  # a step finds half, or more
             return None
         if np.abs(found.change).max() < 0.1 * MIN_LAG:
             break
         equations = rays.linearised(basis @ values)
-    is_settled = np.abs(found.change).max() < MIN_LAG
-    if not is_settled or not _is_one_part(values, found, widening):
+    weights = best @ found.information
+    chance = float(weights @ found.covariance @ weights)
+    if np.abs(found.change).max() > MIN_LAG or float(weights @ values) ** 2 < widening * MIN_GAIN * chance:
         return None
-    times = np.append(0.0, values)
-    is_older = times < 0.5 * (times.min() + times.max())
-    older, age = is_older[sector], _age(times, is_older)
-    if age < MIN_LAG or (np.diff(older.astype(np.int8)) != 0).sum() > 2:
+    is_older = np.append(False, best > 0) == (weights @ values < 0)
+    age = _age(np.append(0.0, values), is_older)
+    if age < MIN_LAG:
         return None
+    older = is_older[sector]
     older = rays.with_sharp_ends(older, age)
-    for _ in range(STEPS):  # a time for each sector, so that ends that are a few rays off do not matter
+    for _ in range(N_STEPS):  # a time for each sector, so that ends that are a few rays off do not matter
         found = rays.linearised(np.where(older, -age, 0.0)).estimate(basis)
         age += _age(np.append(0.0, found.change), is_older)
     delays = sensor.ray_delays - sensor.ray_delays[0] - age * older
@@ -169,7 +170,7 @@ class _Rays:
         for k, group in enumerate(groups):
             basis[group, k] = 1.0
         times = np.zeros(len(groups))
-        for _ in range(STEPS):
+        for _ in range(N_STEPS):
             times += self.linearised(basis @ times - np.where(older, age, 0.0)).estimate(basis).change
         beyond = np.zeros(n)  # share of the age beyond half of it
         for group, time in zip(groups, -times / age, strict=True):
@@ -182,20 +183,12 @@ class _Rays:
         return out
 
 
-def _gains(values: Floats, found: TimeEstimate) -> Floats:
-    """Return the gain of each of `PATTERNS`, by the times of the sectors (SECTORS - 1,) [s]."""
-    of_patterns = np.einsum("pi,ij,pj->p", PATTERNS, found.information, PATTERNS)
-    return np.asarray((PATTERNS @ found.information @ values) ** 2 / of_patterns)
-
-
-def _is_one_part(values: Floats, found: TimeEstimate, widening: float) -> bool:
-    """Tell whether one part of the sectors explains their times (SECTORS - 1,) [s], and surely has another time."""
-    gains = _gains(values, found)[:-1]
+def _best_pattern(values: Floats, found: TimeEstimate) -> tuple[Floats, float]:
+    """Return the part (SECTORS - 1,), 1 inside, that explains the times of the sectors [s] best, and its share of their gain."""
+    weighted = _PATTERNS @ found.information
+    gains = (weighted @ values) ** 2 / (weighted * _PATTERNS).sum(axis=1)
     best = int(np.argmax(gains))
-    weights = PATTERNS[best] @ found.information
-    other = float(weights @ values) ** 2 / float(weights @ found.covariance @ weights)
-    is_most = gains[best] > MIN_EXPLAINED * float(values @ found.information @ values)
-    return is_most and other > widening * MIN_GAIN
+    return _PATTERNS[best], float(gains[best] / (values @ found.information @ values))
 
 
 def _age(times: Floats, is_older: Bools) -> float:
@@ -256,4 +249,4 @@ def _cells(
     scans = scan_points(pieces.run, motion, delays=delays)
     frames = FramePoints.of(scans, np.arange(scans.n_scans))
     x, y = np.floor(frames.placed(poses)[0] / CELL).astype(np.int64).T
-    return x * _ROW + y, frames.frame % 2 == 1, sector[scans.rays]
+    return np.asarray(bucket_key(x, y)), frames.frame % 2 == 1, sector[scans.rays]

@@ -19,7 +19,8 @@ from scipy.special import chdtri, ndtr, stdtrit
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
-from sensorgraph.localization.bearing_scale import LEAST, BearingScale, estimated_scale, kept_ray, turned_left
+from sensorgraph.localization.bearing_scale import LEAST, BearingScale, estimated_scale, kept_ray
+from sensorgraph.localization.course import direction_of
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
@@ -29,6 +30,7 @@ from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
 from sensorgraph.localization.turning_pieces import (
     CLASSES,
+    MAX_STEPS,
     MIN_GAIN,
     MIN_PIECES,
     PIECE_FRAMES,
@@ -38,9 +40,6 @@ from sensorgraph.localization.turning_pieces import (
 )
 from sensorgraph.types import Floats, ProgressBars, no_progress
 
-STEPS = 10
-"""Maximum number of Gauss-Newton steps. Points are deskewed again before each, because smeared surfaces hide a fifth of the
-effect; from the opposite direction most of it."""
 SETTLED = 1.0
 """Squared step, in standard errors, below which the iteration ends."""
 MOTION_ERROR = 0.1
@@ -94,8 +93,11 @@ def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
         dense = tracked if is_given else _with_more_key_frames(tracked, scans, run.stamps, odometry)
         pieces = None if is_given else TurningPieces.of(run, odometry, dense)
         if pieces is not None:
-            turned = turned_left(tracked.poses, odometry)
-            sensor, notes = _corrected(run.sensor, pieces, motion, turned)
+            keys, turned = tracked.key_frames, None
+            if odometry is not None:
+                seen, driven = (compose(invert(p[keys[:-1]]), p[keys[1:]]) for p in (tracked.poses, odometry))
+                turned = direction_of(seen, driven)
+            sensor, notes = _corrected(run.sensor, pieces, motion, None if turned is None else turned[0])
     is_new, run, notes = sensor is not run.sensor, replace(run, sensor=sensor), (*filled, *notes)
     if is_new or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
@@ -313,7 +315,7 @@ def identify_ray_times(
     if CLASSES % sensor.interlaced_sweeps:
         return None
     values, basis, equations = _values(sensor), sweep_basis(sensor.n_rays), start
-    for step in range(STEPS):
+    for step in range(MAX_STEPS):
         found = equations.estimate(basis)
         change, covariance = found.change, found.covariance
         values = values + change

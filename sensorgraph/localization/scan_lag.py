@@ -21,13 +21,11 @@ from logs.run import Run
 from logs.transforms import wrap
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.scan_track import ScanTrack
-from sensorgraph.localization.settings import CAUCHY, SIGNIFICANT
+from sensorgraph.localization.settings import CAUCHY, N_REWEIGHTED, SIGNIFICANT
 from sensorgraph.localization.wheels import STRETCHES
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Floats, Ints
 
-RATE_INTERVAL = 0.05
-"""[s] Interval over which the turn rate of the odometry is computed."""
 LONGEST_STEP = 3.0
 """Maximum step between two scans, in median steps."""
 MIN_STEPS = 50
@@ -36,14 +34,12 @@ MIN_CHANGE = 0.01
 """[rad/s] Minimum root mean square change of the turn rate between two scans."""
 MIN_SLOPE = 0.3
 """Minimum ratio of the turns of laser and odometry."""
-ROUNDS = 8
-"""Number of rounds of robust weighting."""
 MIN_LAG = 0.01
 """[s] Minimum lag that is reported."""
 RELATIVE_ERROR = 0.2
 """Relative error of a lag that still agrees with the duration of a scan."""
 LATENCY = 0.05
-"""[s] Latency of odometry, at most: the period of slow wheel controllers."""
+"""[s] Latency of odometry, at most: the period of slow wheel controllers, over which its turn rate is computed."""
 N_STEPS = 4
 """Number of linear steps; each leaves a small share of the lag."""
 
@@ -92,7 +88,7 @@ def _linear_lag(stamps: Floats, motion: Motion, tracked: ScanTrack) -> ScanLag |
     for jump in tracked.jumps:
         both[max(jump - 1, 0)] = False
     seen = wrap(np.diff(tracked.poses[:, 2]))
-    odometry, rate = motion.at(stamps)[:, 2], _turn_rate(motion, stamps, RATE_INTERVAL)
+    odometry, rate = motion.at(stamps)[:, 2], _turn_rate(motion, stamps, LATENCY)
     driven, change = np.diff(odometry), np.diff(rate)
     both &= step < LONGEST_STEP * np.median(step[step > 0]) if (step > 0).any() else False
     share = np.linspace(-0.5, 0.5, len(step))
@@ -116,7 +112,7 @@ def _robust_fit(x: Floats, y: Floats, segment: Ints) -> tuple[Floats, Floats]:
     weight = np.ones(len(y))
     inverse: Floats = np.eye(k)
     beta: Floats = np.zeros(k)
-    for _ in range(ROUNDS):
+    for _ in range(N_REWEIGHTED):
         inverse = np.asarray(np.linalg.inv(x.T @ (x * weight[:, None]) + 1e-12 * np.eye(k)))
         beta = inverse @ (x.T @ (weight * y))
         left = y - x @ beta

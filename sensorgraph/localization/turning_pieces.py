@@ -44,6 +44,9 @@ PIECE_OFFSET = 1000.0
 """[m] Offset between the maps of two pieces."""
 VELOCITY_INTERVAL = 0.01
 """[s] Interval over which the velocity at a scan is computed."""
+MAX_STEPS = 10
+"""Maximum number of Gauss-Newton steps. Points are deskewed again before each, because smeared surfaces hide a fifth of the
+effect; from the opposite direction most of it."""
 DELAY_SD = 0.2
 """[s] Prior standard deviation of a delay."""
 MIN_GAIN = 25.0
