@@ -39,12 +39,12 @@ def integrated(turn: float = 1.0, in_odometry: bool = False) -> Floats:
 
 
 CASES = {
-    "mirrored": (DENSE * [1.0, -1.0, 1.0], "mirrored"),
-    "exchanged": (DENSE[:, [1, 0, 2]], "mirrored"),
-    "twist": (integrated(in_odometry=True), "in the frame of the odometry"),
-    "degrees": (integrated(turn=180 / np.pi), "integrated with the heading in this unit"),
-    "compass": (DENSE + [0.0, 0.0, 0.8], "differs from its heading by a constant"),
-    "compass, sideways": (DENSE + [0.0, 0.0, -2.2], "differs from its heading by a constant"),
+    "mirrored": DENSE * [1.0, -1.0, 1.0],
+    "exchanged": DENSE[:, [1, 0, 2]],
+    "twist": integrated(in_odometry=True),
+    "degrees": integrated(turn=180 / np.pi),
+    "compass": DENSE + [0.0, 0.0, 0.8],
+    "compass, sideways": DENSE + [0.0, 0.0, -2.2],
 }
 
 
@@ -52,9 +52,8 @@ CASES = {
     "case", ["mirrored", "twist", "degrees", *further("exchanged", "compass", "compass, sideways")]
 )
 def test_positions_and_heading_are_brought_together_as_the_scans_confirm(case: str) -> None:
-    poses, words = CASES[case]
-    run, notes = with_checked_odometry(with_odometry(poses))
-    assert any(words in note for note in notes)
+    run, notes = with_checked_odometry(with_odometry(CASES[case]))
+    assert any("does not move along its heading" in note for note in notes)
     steps, true = (compose(invert(poses[:-20:20]), poses[20::20]) for poses in (run.odometry, DENSE))
     np.testing.assert_allclose(steps[:, :2], true[:, :2], atol=2e-3)  # 3 % of a step
     np.testing.assert_allclose(steps[:, 2], true[:, 2], atol=2e-3)

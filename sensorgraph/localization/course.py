@@ -11,16 +11,18 @@ the scans measure the factor a, 1 or a unit. The course of the positions is s ph
 | -a | any | the positions are mirrored: y to the right, or x and y exchanged |
 | 1 | any | the positions were integrated with a heading in another unit (a is not 1) |
 
-A robot that can drive sideways may have any course, so that the scans must confirm each correction.
+The length of each step remains, and its direction becomes the heading. A robot that can drive sideways may have any course, so
+that the scans must confirm this; they also decide whether it drives ahead or backwards.
 
 Quaternions that do not have half the heading, but all of it (z = sin(yaw), w = cos(yaw)) or a quarter, make a heading that
 turns twice, or half, as fast as the scans. So does one of wheels with a wrong base, but these integrate their positions with the
-heading that they state. Here the positions move another way: the course fits the heading times the factor.
+heading that they state. Here the course fits the heading times the factor.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,27 +31,27 @@ from logs.transforms import compose, invert
 from sensorgraph.localization.settings import N_REWEIGHTED
 from sensorgraph.types import Floats
 
-FACTORS = (0.5, 2.0)
-"""Factors from a heading by wrong quaternions to the true one."""
+HALF = 0.5
+"""Factor from the heading of quaternions with the whole heading to the true one, which is then known up to a half turn."""
+QUATERNIONS = {
+    HALF: "quaternions with the whole heading",
+    1.0 / HALF: "quaternions with a quarter of the heading",
+}
+"""Factor to the true heading -> what has been read."""
 MIN_STEP = 0.05
-"""[m] Length of the steps whose course is compared, well above the resolution of an odometry."""
-MIN_ALIGNED = 0.9
-"""Mean resultant length of the differences of course and heading, doubled, from which the robot drives along its heading ..."""
-MAX_UNALIGNED = 0.6
-"""... and below which it does not: 1 for equal angles, 0 for random ones (Mardia and Jupp 2000)."""
-MAX_SPREAD = 1.0 - MIN_ALIGNED
-"""Circular variance of the course about a multiple of the heading, up to which this multiple is s ..."""
-MIN_SPREAD = 0.02
-"""... and above which it is not that of a sound odometry."""
-MIN_BETTER = 0.5
-"""Share of this variance, and of the differences between scans and odometry, that a correction leaves at most."""
-MIN_OFFSET = 0.1
-"""Sine of the least angle of a heading to its course that is corrected; less is an error of the mount, or slip."""
-
-MOVING = 0.05
-"""[m, rad] Minimum motion of a step by the scans for a step-by-step comparison ..."""
+"""[m] Length of the steps whose course is compared, well above the resolution of an odometry; also minimum motion [m, rad] of a
+step by the scans for a step-by-step comparison ..."""
 MIN_MOVING = 5
 """... and minimum number of such steps."""
+MIN_ALIGNED = 0.9
+"""Mean resultant length of the differences of course and heading, doubled, from which the robot drives along its heading times
+a factor: 1 for equal angles, 0 for random ones (Mardia and Jupp 2000) ..."""
+SOUND = 0.98
+"""... and its part in phase from which the odometry is sound: a scatter, or a constant difference, of up to 0.1 rad, as of a mount
+or of slip."""
+MIN_BETTER = 0.5
+"""Share of the differences between scans and odometry that a correction leaves at most."""
+
 MAX_RATIO = 3.0
 """Maximum ratio of such a step between odometry and scans, and its inverse."""
 MIN_ERROR = 0.02
@@ -88,40 +90,34 @@ def alignment(poses: Floats, factor: float, least: float = MIN_STEP) -> complex:
     return complex((length * np.exp(2j * off)).sum() / length.sum())
 
 
-def with_course(motion: Motion, turn_factor: float, stretch: Steps) -> tuple[Motion, str] | None:
-    """Return odometry whose positions and heading agree, and a note; None if there is no such cause, or the scans deny it.
-
-    The course of the whole drive decides on s and c, the stretch that the scans show confirms the correction.
+def with_course(motion: Motion, turn_factor: float, stamps: Floats, seen: Floats) -> Motion | None:
+    """Return odometry that moves along its heading; None if it does already, or if the scans deny it.
 
     Parameters
     ----------
     turn_factor : Factor from the stated heading to the true one, which remains for the caller to apply.
+    stamps, seen : (m + 1,) [s], (m, 3) [m, m, rad] Steps by the scans alone: ahead, left and turn.
     """
-    causes = {
-        turn_factor: "",
-        2.0 * turn_factor: "its twist is in the frame of the odometry instead of the robot's",
-        -turn_factor: "its positions are mirrored",
-        **({} if turn_factor == 1.0 else {1.0: "it was integrated with the heading in this unit"}),
-    }
-    fits = {factor: _best_alignment(motion.poses, factor) for factor in causes}
-    spread = {factor: 1.0 - abs(fit) for factor, fit in fits.items()}
-    best = min(causes, key=lambda factor: spread[factor])
-    if spread[turn_factor] < MIN_SPREAD or spread[best] > MIN_BETTER * spread[turn_factor]:
-        best = turn_factor
-    offset = float(np.angle(fits[best])) / 2.0
-    if spread[best] > MAX_SPREAD or (best == turn_factor and abs(np.sin(offset)) < MIN_OFFSET):
+    fits = {s: _best_alignment(motion.poses, s) for s in (turn_factor, 2.0 * turn_factor, -turn_factor, 1.0)}
+    best = max(fits, key=lambda s: abs(fits[s]))
+    is_sound = fits[turn_factor].real > SOUND and turn_factor != HALF
+    if is_sound or abs(fits[best]) < MIN_ALIGNED:
         return None
-    if best != turn_factor:
-        changed = [_moved_along(motion.poses, best, turn_factor, offset)]
-        note = f"the odometry moves along another heading than it states, since {causes[best]}: corrected"
-    else:
-        changed = [motion.poses + [0.0, 0.0, one / turn_factor] for one in (offset, offset + np.pi)]
-        note = "the course of the odometry differs from its heading by a constant, and that of the scans does not: corrected"
+    offset = float(np.angle(fits[best])) / 2.0
+    ways = [_moved_along(motion.poses, best, turn_factor, one) for one in (offset, offset + np.pi)]
     found = min(
-        (replace(motion, poses=poses) for poses in changed), key=lambda one: stretch.misfit(one, turn_factor)
+        (replace(motion, poses=poses) for poses in ways),
+        key=lambda one: _misfit(one, turn_factor, stamps, seen),
     )
-    is_confirmed = stretch.misfit(found, turn_factor) < MIN_BETTER * stretch.misfit(motion, turn_factor)
-    return (found, note) if is_confirmed else None
+    least = MIN_BETTER * _misfit(motion, turn_factor, stamps, seen)
+    return found if _misfit(found, turn_factor, stamps, seen) < least else None
+
+
+def turn_units(poses: Floats, units: Mapping[float, str]) -> dict[float, str]:
+    """Return units of a heading, with those of wrong quaternions that explain the course of poses (n, 3) and 1 does not."""
+    is_along = abs(alignment(poses, 1.0)) > MIN_ALIGNED
+    wrong = {f: name for f, name in QUATERNIONS.items() if abs(alignment(poses, f)) > MIN_ALIGNED}
+    return {**units, **({} if is_along else wrong)}
 
 
 def _best_alignment(poses: Floats, factor: float) -> complex:
@@ -130,63 +126,22 @@ def _best_alignment(poses: Floats, factor: float) -> complex:
 
 
 def _moved_along(poses: Floats, factor: float, turn_factor: float, offset: float) -> Floats:
-    """Return poses (n, 3) whose steps go along the heading times `turn_factor`, mostly ahead; they go along `factor` times it."""
+    """Return poses (n, 3) whose steps go along the heading times `turn_factor`; they go along `factor` times it + `offset`."""
     steps, heading = course_steps(poses, 0.0)
     way = (steps[:, 0] + 1j * steps[:, 1]) * np.exp(-1j * (factor * heading + offset))
-    ahead = way if way.real.sum() >= 0 else -way
-    places = np.concatenate([[0.0], np.cumsum(ahead * np.exp(1j * turn_factor * heading))])
+    places = np.concatenate([[0.0], np.cumsum(way * np.exp(1j * turn_factor * heading))])
     return np.column_stack([places.real, places.imag, poses[:, 2]])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Steps:
-    """Steps of the robot by the scans alone."""
-
-    stamps: Floats
-    """(m + 1,) [s]"""
-    seen: Floats
-    """(m, 3) [m, m, rad] Motion ahead and left in the frame of each pose, and turn."""
-
-    def misfit(self, motion: Motion, turn_factor: float) -> float:
-        """Return the mean difference of the directions by odometry and scans, as the chord of unit vectors; 0 if unknown."""
-        poses = motion.at(self.stamps) * [1.0, 1.0, turn_factor]
-        driven = compose(invert(poses[:-1]), poses[1:])
-        a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (self.seen, driven))
-        use = (np.abs(a) > MOVING) & (np.abs(b) > 0)
-        if use.sum() < MIN_MOVING:
-            return 0.0
-        return float(np.abs(a[use] / np.abs(a[use]) - b[use] / np.abs(b[use])).mean())
-
-
-def heading_factor(poses: Floats) -> float:
-    """Return the factor from the stated heading to that along which the positions move; 1 if none of `FACTORS` explains them.
-
-    Parameters
-    ----------
-    poses : (n, 3) [m, m, rad] Odometry, its heading without jumps of a full turn.
-    """
-    if abs(alignment(poses, 1.0)) > MAX_UNALIGNED:
-        return 1.0
-    return next((factor for factor in FACTORS if abs(alignment(poses, factor)) > MIN_ALIGNED), 1.0)
-
-
-def with_heading(poses: Floats, factor: float) -> Floats:
-    """Return the poses (n, 3) with the heading times a factor, so that the robot drives ahead in most of its steps."""
-    out = poses * [1.0, 1.0, factor]
-    steps, heading = course_steps(out)
-    off = np.arctan2(steps[:, 1], steps[:, 0]) - heading
-    if (np.hypot(*steps.T) * np.cos(off)).sum() < 0:
-        out[:, 2] += np.pi
-    return np.asarray(out)
-
-
-def heading_note(factor: float) -> str:
-    """Return the note on a heading that was corrected by a factor."""
-    rate, has = ("twice", "the whole heading") if factor < 1 else ("half", "a quarter of the heading")
-    return (
-        f"the odometry's heading turns {rate} as fast as the scans and its own course: its quaternions have {has} instead of "
-        "half of it; corrected"
-    )
+def _misfit(motion: Motion, turn_factor: float, stamps: Floats, seen: Floats) -> float:
+    """Return the mean difference of the directions by odometry and scans, as the chord of unit vectors; 0 if unknown."""
+    poses = motion.at(stamps) * [1.0, 1.0, turn_factor]
+    driven = compose(invert(poses[:-1]), poses[1:])
+    a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (seen, driven))
+    use = (np.abs(a) > MIN_STEP) & (np.abs(b) > 0)
+    if use.sum() < MIN_MOVING:
+        return 0.0
+    return float(np.abs(a[use] / np.abs(a[use]) - b[use] / np.abs(b[use])).mean())
 
 
 def direction_of(seen: Floats, driven: Floats) -> tuple[float, float] | None:
@@ -200,7 +155,7 @@ def direction_of(seen: Floats, driven: Floats) -> tuple[float, float] | None:
     None if too few steps move, or if one motion does not explain the other.
     """
     a, b = (steps[:, 0] + 1j * steps[:, 1] for steps in (seen, driven))
-    use = (np.abs(a) > MOVING) & (np.abs(b) > 0)
+    use = (np.abs(a) > MIN_STEP) & (np.abs(b) > 0)
     if use.any():
         ratio = np.log(np.abs(b[use]) / np.abs(a[use]))
         use[use] = np.abs(ratio - np.median(ratio)) < np.log(MAX_RATIO)  # no jumps of the odometry

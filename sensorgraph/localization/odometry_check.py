@@ -24,13 +24,10 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.course import (
     MAX_RATIO,
     MIN_MOVING,
-    MOVING,
-    Steps,
+    MIN_STEP,
     direction_of,
-    heading_factor,
-    heading_note,
+    turn_units,
     with_course,
-    with_heading,
 )
 from sensorgraph.localization.front_end import SHORT_DRIVE, track_part
 from sensorgraph.localization.missing_odometry import without_corrections
@@ -81,15 +78,14 @@ def with_checked_odometry(run: Run) -> tuple[Run, tuple[str, ...]]:
         return run, ()
     joined, said = without_corrections(motion)
     notes = list(said)
-    mended = _with_heading(run, joined, notes)
-    if mended is not motion:
-        run, motion = _scaled(run, mended, 1.0, 1.0), mended
+    if joined is not motion:
+        run, motion = _scaled(run, joined, 1.0, 1.0), joined
     odometry = odometry_at_scans(run, motion)
     way_factor = turn_factor = 1.0
     turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2])
     if turns is not None and np.abs(turns.seen[:, 2]).sum() > MIN_TURN:
         seen, driven = turns.seen[:, 2], turns.driven[:, 2]
-        turn_factor = _factor(_ratio(seen, driven), "turns", TURN_UNITS, notes)
+        turn_factor = _factor(_ratio(seen, driven), "turns", turn_units(motion.poses, TURN_UNITS), notes)
         is_opposite = _correlation(seen, driven) < OPPOSITE
         if is_opposite and _agrees(seen, -turn_factor * driven):
             ways = _ways(run, motion, 1.0)
@@ -147,22 +143,6 @@ class _Stretch:
         return confirms_odometry(self.scans, self.stamps, self.poses, self.odometry)
 
 
-def _with_heading(run: Run, motion: Motion, notes: list[str]) -> Motion:
-    """Return the odometry with its true heading if its quaternions do not have half of it; the scans must confirm that."""
-    factor = heading_factor(motion.poses)
-    if factor == 1.0:
-        return motion
-    odometry = odometry_at_scans(run, motion)
-    turns = _compared(run, motion, odometry, np.abs(np.diff(odometry[:, 2])), [2])
-    if turns is None:
-        return motion
-    ratio = _ratio(turns.seen[:, 2], turns.driven[:, 2])
-    if abs(np.log(ratio / factor)) > TOLERANCE:
-        return motion
-    notes.append(heading_note(factor))
-    return replace(motion, poses=with_heading(motion.poses, factor))
-
-
 def _along_course(
     run: Run, motion: Motion, turn_factor: float, notes: list[str]
 ) -> tuple[Run, Motion, _Stretch | None]:
@@ -171,13 +151,14 @@ def _along_course(
     direction = None if ways is None else direction_of(ways.seen, ways.driven)
     if ways is None or (direction is not None and abs(direction[0]) < NOTED_DIRECTION):
         return run, motion, ways
-    steps = Steps(stamps=ways.stamps[::EVERY], seen=ways.seen)
-    found = with_course(motion, turn_factor, steps)
+    found = with_course(motion, turn_factor, ways.stamps[::EVERY], ways.seen)
     if found is None:
         return run, motion, ways
-    motion, note = found
-    notes.append(note)
-    return _scaled(run, motion, 1.0, 1.0), motion, _ways(run, motion, turn_factor)
+    notes.append(
+        "the odometry does not move along its heading, and the scans do: mirrored axes, a twist in another frame, or a heading in "
+        "another unit or with another zero; corrected"
+    )
+    return _scaled(run, found, 1.0, 1.0), found, _ways(run, found, turn_factor)
 
 
 def _opposite_text(direction: tuple[float, float] | None) -> str:
@@ -295,7 +276,7 @@ def _correlation(a: Floats, b: Floats) -> float:
 
 def _agrees(seen: Floats, driven: Floats) -> bool:
     """Tell whether enough steps of the odometry are about as large as those of the scans; a few may be jumps or slip."""
-    is_moving = np.abs(seen) > MOVING
+    is_moving = np.abs(seen) > MIN_STEP
     if is_moving.sum() < MIN_MOVING:
         return True
     ratio = driven[is_moving] / seen[is_moving]
@@ -321,7 +302,7 @@ def _confirmed(what: str) -> str:
 def _ratio(seen: Floats, driven: Floats) -> float:
     """Return the ratio of the scans' motion to the odometry's: the median over steps, which resists single jumps."""
     seen, driven = np.abs(seen), np.abs(driven)
-    is_moving = seen > MOVING
+    is_moving = seen > MIN_STEP
     if is_moving.sum() < MIN_MOVING:
         return float(seen.sum() / max(driven.sum(), 1e-9))
     return float(1.0 / max(np.median(driven[is_moving] / seen[is_moving]), 1e-9))
