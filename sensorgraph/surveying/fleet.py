@@ -203,13 +203,13 @@ def _by_robot(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, 
     return out
 
 
-def series(rows: Sequence[Mapping[str, Any]], quantity: str) -> tuple[list[int], Floats, Floats, Floats]:
-    """Return the indices of rows with a quantity, and its times [s], values and standard errors."""
+def _series(rows: Sequence[Mapping[str, Any]], quantity: str) -> tuple[list[int], Series]:
+    """Return the indices of rows with a quantity, and the quantity over these."""
     index = [k for k, row in enumerate(rows) if quantity in row["quantities"]]
     pairs = np.array([rows[k]["quantities"][quantity] for k in index], dtype=np.float64).reshape(-1, 2)
     t = np.array([rows[k]["epoch_s"] for k in index], dtype=np.float64)
     floor = LABELS[quantity].resolution
-    return index, t, pairs[:, 0], np.hypot(pairs[:, 1], floor)
+    return index, Series(t=t, values=pairs[:, 0], sigmas=np.hypot(pairs[:, 1], floor))
 
 
 def _changes(rows: Sequence[Mapping[str, Any]]) -> list[RobotChange]:
@@ -218,20 +218,15 @@ def _changes(rows: Sequence[Mapping[str, Any]]) -> list[RobotChange]:
     for robot, own in _by_robot(rows).items():
         names = quantities_of(own)
         wheels = [name for name in names if name in SHOWN_IN] if "left_wheel" in names else []
-        measured = {name: _series(own, name) for name in (*wheels, *MEASURED)} if wheels else {}
+        measured = {name: _series(own, name)[1] for name in (*wheels, *MEASURED)} if wheels else {}
         found = changes_of_wheels({name: one for name, one in measured.items() if len(one.t)})
         for name in names:
             if name not in wheels:
-                one = _series(own, name)
+                _, one = _series(own, name)
                 steps = steps_of(name, one.t, one.values, one.sigmas)
                 found += [CausedStep(step=step, t=float(one.t[step.before])) for step in steps]
         out += [_change(robot, one, own) for one in found]
     return sorted(out, key=lambda one: (-one.probability, one.robot))
-
-
-def _series(own: Sequence[Mapping[str, Any]], name: str) -> Series:
-    _, t, values, sigmas = series(own, name)
-    return Series(t=t, values=values, sigmas=sigmas)
 
 
 def _change(robot: str, found: CausedStep, own: Sequence[Mapping[str, Any]]) -> RobotChange:
@@ -253,17 +248,17 @@ def _odd(rows: Sequence[Mapping[str, Any]], changes: Sequence[RobotChange]) -> l
         for quantity in quantities_of([row for own in robots.values() for row in own]):
             levels = {}
             for robot, own in robots.items():
-                index, _, values, sigmas = series(own, quantity)
+                index, one = _series(own, quantity)
                 ends = [
                     k
-                    for one in changes
-                    if one.robot == robot and quantity in (one.quantity, *one.seen_in)
+                    for change in changes
+                    if change.robot == robot and quantity in (change.quantity, *change.seen_in)
                     for k, at in enumerate(index)
-                    if own[at]["log"] == one.after
+                    if own[at]["log"] == change.after
                 ]
                 last = min(ends, default=len(index))
                 if last:
-                    levels[robot] = level(quantity, values[:last], sigmas[:last])
+                    levels[robot] = level(quantity, one.values[:last], one.sigmas[:last])
             out += odd_robots(quantity, levels)
     return sorted(out, key=lambda one: -one.probability)
 
