@@ -111,34 +111,6 @@ def test_gap_between_hits_of_one_surface_is_closed_and_between_two_surfaces_stay
     )  # free between the rays up to 15 cm before the nearer
 
 
-def test_evidence_of_batches_and_runs_adds_up() -> None:
-    rng = np.random.default_rng(3)
-    poses = some_poses(rng, 12)
-    ranges = room(poses, size=4.02)
-    poses[:, :2] += 0.013  # no wall lies on a grid line
-    ranges[3, 5], ranges[4, 9], ranges[5, 7] = np.inf, np.nan, -np.inf
-    whole = CellEvidence.of(poses, ranges, BEARINGS)
-    batches = CellEvidence.of(poses[:5], ranges[:5], BEARINGS)
-    batches.add(poses[5:8], ranges[5:8], BEARINGS)
-    batches.merge(CellEvidence.of(poses[8:], ranges[8:], BEARINGS))
-    batches.merge(CellEvidence.empty())
-    a, b = whole.widened(0), batches.widened(0)
-    shift = np.subtract(a.window.low, b.window.low)
-    np.testing.assert_array_equal(a.window.places() + shift, b.window.places())
-    for name in ("hits", "interpolated", "passes"):
-        np.testing.assert_allclose(
-            getattr(a, name), getattr(b, name), rtol=1e-5
-        )  # float32 sums in another order
-    there = a.face >= 0
-    np.testing.assert_array_equal(there, b.face >= 0)
-    np.testing.assert_allclose(a.moments[a.face[there]], b.moments[b.face[there]], atol=1e-12)
-
-
-def test_evidence_in_other_cells_is_refused() -> None:
-    with pytest.raises(ValueError, match="cannot be added"):
-        CellEvidence.empty(0.05).merge(CellEvidence.empty(0.1))
-
-
 def test_face_of_a_cell_is_the_line_through_the_hits_around_it() -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
@@ -146,10 +118,8 @@ def test_face_of_a_cell_is_the_line_through_the_hits_around_it() -> None:
         along = np.arange(-0.3, 0.3, 0.01)
         x, y = d * np.cos(angle) - along * np.sin(angle), d * np.sin(angle) + along * np.cos(angle)
         bearings, ranges = np.arctan2(y, x), np.hypot(x, y)
-        evidence = CellEvidence.empty()
-        for bearing, r in zip(bearings, ranges, strict=True):
-            evidence.add(np.array([[0.0, 0.0, bearing]]), np.array([[r]]), np.array([0.0]))
-        evidence = evidence.widened()
+        poses = np.column_stack([np.zeros((len(bearings), 2)), bearings])
+        evidence = CellEvidence.of(poses, ranges[:, None], np.array([0.0])).widened()
         code, offset = local_lines(evidence)
         place = np.floor(d * np.array([np.cos(angle), np.sin(angle)]) / 0.05).astype(int)
         row = evidence.window.index[tuple(place - evidence.window.low)]

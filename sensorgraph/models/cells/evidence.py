@@ -1,7 +1,4 @@
-"""Evidence of a log in cells: hits, passes and interpolated hits by direction, and moments of the hits.
-
-All quantities are sums over scans, so the evidence of several runs, or of batches of one run, can be added.
-"""
+"""Evidence of a log in cells: hits, passes and interpolated hits by direction, and moments of the hits."""
 
 from __future__ import annotations
 
@@ -38,7 +35,7 @@ FREE_MARGIN, SURFACE_MARGIN_CELLS = 0.15, 1.5
 N_MOMENTS = 6  # count, x, y, xx, xy, yy of hits, [m] relative to the centre of their cell
 
 
-@dataclass(kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class CellEvidence:
     """Sums over scans, with a row for each cell that a ray crossed."""
 
@@ -60,94 +57,42 @@ class CellEvidence:
     """(n_faces, 16, 6) count, x, y, xx, xy, yy [m] of the hits relative to the centre of their cell."""
 
     @classmethod
-    def empty(cls, cell: float = CELL_SIZE, reach: float = MAX_REACH) -> CellEvidence:
-        """Return evidence without scans."""
-        window = GridWindow(cell=cell, low=(0, 0), index=np.full((1, 1), -1, dtype=np.int32))
-        return cls(
-            window=window, reach=reach, n_rows=0, hits=np.zeros((0, N_SECTORS), dtype=np.float32),
-            interpolated=np.zeros((0, N_SECTORS), dtype=np.float32),
-            passes=np.zeros((0, N_SECTORS // 2), dtype=np.float32), face=np.full(0, -1, dtype=np.int32),
-            n_faces=0, moments=np.zeros((0, N_SECTORS, N_MOMENTS)),
-        )  # fmt: skip
-
-    @classmethod
     def of(
         cls, poses: Floats, ranges: Floats, bearings: Floats, *, cell: float = CELL_SIZE,
         reach: float = MAX_REACH,
     ) -> CellEvidence:  # fmt: skip
-        """Return the evidence of scans with ranges (n, n_rays), with poses as in `add`."""
-        evidence = cls.empty(cell, reach)
-        evidence.add(poses, ranges, bearings)
-        return evidence
-
-    def add(self, poses: Floats, ranges: Floats, bearings: Floats) -> None:
-        """Add scans with ranges (n, n_rays) [m] at bearings (n_rays,) [rad].
+        """Return the evidence of scans with ranges (n, n_rays) [m] at bearings (n_rays,) [rad].
 
         Parameters
         ----------
         poses : (n, 3) [m, m, rad] Poses of the laser in map; (n, n_rays, 3) for a sweep, one for each ray.
         """
-        if len(poses) == 0:
-            return
         poses = per_ray(poses)
-        self._extend(GridWindow.around(poses[..., :2].reshape(-1, 2), self.reach, self.window.cell))
+        window = GridWindow.around(poses[..., :2].reshape(-1, 2), reach, cell)
         gaps = np.append(np.diff(bearings), 0.0)
         between = np.maximum(
             np.round(gaps / CELLS.max_ray_spacing).astype(np.int64) - 1, 0
         )  # number of virtual rays after each ray
-        room = (len(bearings) + int(between.sum())) * max_cells_met(self.reach, self.window.cell)
-        done = 0
+        room = (len(bearings) + int(between.sum())) * max_cells_met(reach, cell)
+        hits, interpolated = (np.zeros((0, N_SECTORS), dtype=np.float32) for _ in range(2))
+        passes, face = np.zeros((0, N_SECTORS // 2), dtype=np.float32), np.full(0, -1, dtype=np.int32)
+        moments = np.zeros((0, N_SECTORS, N_MOMENTS))
+        done, n_rows, n_faces = 0, 0, 0
         while done < len(poses):
-            self._make_room(room, len(bearings))
-            done, self.n_rows, self.n_faces = add_scans(
-                done, poses, ranges, bearings, between, self.reach, self.window.cell,
-                np.array(self.window.low), self.window.index, self.n_rows, self.n_faces,
-                self.hits, self.interpolated, self.passes, self.face, self.moments,
+            if n_rows + room > len(hits):
+                n = max(n_rows + room, 2 * len(hits))
+                hits, interpolated, passes = (_lengthened(part, n) for part in (hits, interpolated, passes))
+                face = _lengthened(face, n, -1)
+            if n_faces + len(bearings) > len(moments):
+                moments = _lengthened(moments, max(n_faces + len(bearings), 2 * len(moments)))
+            done, n_rows, n_faces = add_scans(
+                done, poses, ranges, bearings, between, reach, cell, np.array(window.low), window.index,
+                n_rows, n_faces, hits, interpolated, passes, face, moments,
             )  # fmt: skip
-
-    def merge(self, other: CellEvidence) -> None:
-        """Add the evidence of other scans with the same cells and reach.
-
-        Raises
-        ------
-        ValueError : The other evidence has other cells or another reach.
-        """
-        if (other.window.cell, other.reach) != (self.window.cell, self.reach):
-            raise ValueError(
-                f"evidence with cells of {other.window.cell} m and a reach of {other.reach} m cannot be added to "
-                f"evidence with cells of {self.window.cell} m and a reach of {self.reach} m"
-            )
-        if other.n_rows == 0:
-            return
-        self._extend(other.window)
-        self._make_room(other.n_rows, other.n_faces)
-        theirs = other.window.places() + np.subtract(other.window.low, self.window.low)
-        rows = self.window.index[theirs[:, 0], theirs[:, 1]]
-        new = rows < 0
-        rows[new] = self.n_rows + np.arange(int(new.sum()))
-        self.window.index[theirs[:, 0], theirs[:, 1]] = rows
-        self.n_rows += int(new.sum())
-        n = other.n_rows
-        self.hits[rows] += other.hits[:n]
-        self.interpolated[rows] += other.interpolated[:n]
-        self.passes[rows] += other.passes[:n]
-        hit = np.flatnonzero(other.face[:n] >= 0)
-        fresh = hit[self.face[rows[hit]] < 0]
-        self.face[rows[fresh]] = self.n_faces + np.arange(len(fresh))
-        self.n_faces += len(fresh)
-        self.moments[self.face[rows[hit]]] += other.moments[other.face[hit]]
-
-    def _extend(self, window: GridWindow) -> None:
-        self.window = window if self.n_rows == 0 else self.window.grown(window)
-
-    def _make_room(self, rows: int, faces: int) -> None:
-        """Extend the arrays by the given numbers of rows."""
-        if self.n_rows + rows > len(self.hits):
-            n = max(self.n_rows + rows, 2 * len(self.hits))
-            self.hits, self.interpolated = _lengthened(self.hits, n), _lengthened(self.interpolated, n)
-            self.passes, self.face = _lengthened(self.passes, n), _lengthened(self.face, n, -1)
-        if self.n_faces + faces > len(self.moments):
-            self.moments = _lengthened(self.moments, max(self.n_faces + faces, 2 * len(self.moments)))
+        return cls(
+            window=window, reach=reach, n_rows=n_rows, hits=hits, interpolated=interpolated, passes=passes,
+            face=face, n_faces=n_faces, moments=moments,
+        )  # fmt: skip
 
     def widened(self, cells: int = 2) -> CellEvidence:
         """Return the evidence with additional rows for all cells within `cells` of a crossed one, in grid order."""

@@ -1,6 +1,6 @@
 """Cells of a square grid that is fixed in the map frame, and the traversal of the grid by a ray.
 
-Cell (i, j) covers [i, i + 1) x [j, j + 1) times the cell size in map, so grids of several runs coincide.
+Cell (i, j) covers [i, i + 1) x [j, j + 1) times the cell size in map, whatever the log.
 Directions are divided into 16 sectors; sector b is centred on b * 22.5 deg in map.
 """
 
@@ -43,28 +43,6 @@ class GridWindow:
         high = np.floor((xy.max(axis=0) + reach) / cell).astype(np.int64) + BORDER_CELLS + 1
         shape = high - low
         return cls(cell=cell, low=(int(low[0]), int(low[1])), index=np.full(shape, -1, dtype=np.int32))
-
-    def holds(self, other: GridWindow) -> bool:
-        """Return whether this window contains every cell of another window."""
-        return all(
-            mine <= theirs and theirs + n <= mine + m
-            for mine, theirs, m, n in zip(
-                self.low, other.low, self.index.shape, other.index.shape, strict=True
-            )
-        )
-
-    def grown(self, other: GridWindow) -> GridWindow:
-        """Return a window with the same rows that also covers another window's cells."""
-        if self.holds(other):
-            return self
-        low = np.minimum(self.low, other.low)
-        high = np.maximum(
-            np.add(self.low, self.index.shape), np.add(other.low, other.index.shape)
-        )  # (2,) first cell beyond both
-        index = np.full(high - low, -1, dtype=np.int32)
-        i, j = np.subtract(self.low, low)
-        index[i : i + self.index.shape[0], j : j + self.index.shape[1]] = self.index
-        return GridWindow(cell=self.cell, low=(int(low[0]), int(low[1])), index=index)
 
     def places(self) -> CellIndices:
         """Return the indices (n_rows, 2) in the window of each row's cell."""
