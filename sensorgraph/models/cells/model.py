@@ -177,10 +177,7 @@ class CellModel:
         self, poses: Floats, uniform: Floats, normal: Floats, rays: Ints | slice = slice(None)
     ) -> Floats:
         """Draw one reading of rays (n_rays,) at poses (n_poses, 3) from the mixture, as `draw_readings` does."""
-        return draw_readings(
-            self.table, (self.reliability[which_of("mode")], self.tails, self.nothing),
-            compose(poses, self.mount), self.sensor.bearings[rays], uniform, normal,
-        )  # fmt: skip
+        return draw_readings(self, poses, np.arange(self.sensor.n_rays)[rays], uniform, normal)
 
     def equation(self, ray: int) -> str:
         """Return the equations of a ray's range and the coefficients of the visibility polynomial as text."""
