@@ -46,7 +46,7 @@ from sensorgraph.models.calibration.pose_refinement import (
 )
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
-from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_cost, fit_faces
+from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
@@ -64,8 +64,6 @@ GAUGE_REACHES = (0.012, 0.003)
 """[m] Half width of the search for the gauge in each fine round."""
 SELECTIONS = 3
 """Number of selections of terms; the penalty of a ray's term falls with the share of rays that have one."""
-COARSE_PASSES, ROUND_PASSES, REFINE_PASSES = 6, 12, 3
-"""Approximate cost of a coarse round, a fine round and a pose refinement, in passes over the readings; for progress."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,12 +204,12 @@ class _JointCalibration:
             logger.info("calibration: returns and poses are inconsistent: %s", self.noise)
             return False
         all_readings, probe = self.readings, PROBE_READINGS
-        work = WorkCounter(tick, probe + len(all_readings))
+        work = WorkCounter(tick, 2)
         if not force and len(all_readings) > 2 * probe:
             self.readings = _whole_scans(all_readings, probe)
             mount, terms, better = self._test_evidence()
             self.readings = all_readings
-            work.add(probe)
+            work.add(1)
             if max(mount, terms, better.log_evidence) <= 0:
                 return False
         mount, terms, better = self._test_evidence()
@@ -253,34 +251,31 @@ class _JointCalibration:
     def run(self, tick: Progress) -> CalibratedFaces:
         """Calibrate from coarse to fine; for a laser as specified, only refine the poses."""
         reaches = GAUGE_REACHES[: 2 if self.laser_differs else 1]
-        n = len(self.readings)
-        fit, round_ = fit_cost(n), (ROUND_PASSES if self.laser_differs else REFINE_PASSES) * n
-        coarse = COARSE_PASSES * n
-        n_coarse = len(COARSE_SIGMAS) if self.laser_differs else 0
-        work = WorkCounter(tick, n_coarse * coarse + len(reaches) * (fit + round_) + fit)
+        sigmas = COARSE_SIGMAS if self.laser_differs else ()
+        work = WorkCounter(tick, len(sigmas) + 2 * len(reaches) + 1)  # stages of similar duration
         if self.laser_differs:
             self.shifts = np.zeros_like(self.shifts)  # they compensated errors of the laser
             self.pose_noise = self.pose_errors = (0.0, 0.0)
-            for i, sigma in enumerate(COARSE_SIGMAS):
+            for i, sigma in enumerate(sigmas):
                 self.set_faces(draft_faces(self.corrected(), sigma=sigma), least=sigma)
                 self.adjust(incidence=i > 0)
                 self.adjust(incidence=i > 0)
-                work.add(coarse)
+                work.add(1)
         for reach in reaches:
             rays = self.corrected()
             self.set_faces(
-                fit_faces(rays, sigma=FINE_SIGMA, pose_errors=self.pose_errors, progress=work.part(fit))
+                fit_faces(rays, sigma=FINE_SIGMA, pose_errors=self.pose_errors, progress=work.part(1))
             )
-            work.add(fit)
+            work.add(1)
             if self.laser_differs:
                 self.adjust(incidence=True)
                 self.refine_poses()
                 self.adjust(incidence=True)
                 self.fix_gauge(reach)
             self.refine_poses()
-            work.add(round_)
+            work.add(1)
         rays = self.corrected()
-        fitted = fit_faces(rays, pose_errors=self.pose_errors, progress=work.part(fit))
+        fitted = fit_faces(rays, pose_errors=self.pose_errors, progress=work.part(1))
         return CalibratedFaces(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
 
     def corrected(self) -> Rays:

@@ -32,8 +32,6 @@ PASSES, ROUND_PASSES = 3, 4
 """EM iterations after a selection, and in each round."""
 WIDE_RATIO = 1.5
 """Ratio of the observed to the assumed spread across faces above which the first selection is repeated."""
-SELECT_PASSES, SPLIT_PASSES, REDUNDANCY_PASSES, FINAL_PASSES = 4, 2, 5, 5
-"""Approximate cost of a selection, a split, the removal of redundant faces and the last fit in passes over the rays; used for progress only."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,36 +69,35 @@ def fit_faces(
     sigma : [m] Initial range noise; the noise of ranges and poses is estimated.
     pose_errors : [m, rad] Errors of poses that were refined with these rays; the estimated noise does not include them.
     """
-    work = WorkCounter(progress, fit_cost(len(rays)))
+    work = WorkCounter(progress, ROUNDS + 3)  # stages of similar duration
     if hit_moments is None:
         hit_moments = HitMoments.of(rays.hits, rays.directions)
     final = replace(rays, weights=None)
     draft = _thinned(final, DRAFT_RAYS)
     faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
-    work.add(SELECT_PASSES * len(draft))
+    work.add(1)
     for _ in range(ROUNDS):
         more = _select_unexplained(draft, expectation, noise)
         faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))
         faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
         faces, noise, expectation = _em(draft, faces, noise, passes=ROUND_PASSES)
-        work.add((SPLIT_PASSES + ROUND_PASSES) * len(draft))
+        work.add(1)
         logger.info("%d faces, %.4f nats per ray", faces.n_faces, expectation.log_likelihood / len(draft))
     faces = without_redundant_faces(draft, faces, noise)
     logger.info("%d faces, none redundant", faces.n_faces)
     faces = fit_stretches(faces, crossings_of(draft, faces, noise, pose_errors))
     faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
-    work.add((REDUNDANCY_PASSES + 1) * len(draft))
+    work.add(1)
     faces, noise, expectation = _em(final, faces, noise, passes=1)
     faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))
     crossings = crossings_of(final, faces, noise, pose_errors)
-    work.add(3 * len(final))
     faces, crossings, _ = joined_visible(fit_stretches(faces, crossings), crossings)
     expectation = e_step(final, faces, noise)
     counted = final if rays.weights is None else rays
     summed = expectation if counted is final else e_step(counted, faces, noise)
     statistics = SufficientStatistics.of(counted, faces, summed, crossings, n_rays=len(counted))
     faces = with_edge_errors(faces, expectation.line_sums)
-    work.add((FINAL_PASSES - 3) * len(final))
+    work.add(1)
     return FittedFaces(
         faces=faces, noise=noise, expectation=expectation, n_rays=len(final), statistics=statistics
     )
@@ -169,9 +166,3 @@ def _thinned(rays: Rays, most: int) -> Rays:
         return rays
     turn = np.arctan2(rays.directions[:, 1], rays.directions[:, 0])
     return rays.take(spread_evenly(rays.origins, turn, most)[0])
-
-
-def fit_cost(n_rays: int) -> int:
-    """Return the approximate number of rays that `fit_faces` processes in all its passes, as a measure of its time."""
-    passes = SELECT_PASSES + (SPLIT_PASSES + ROUND_PASSES) * ROUNDS + REDUNDANCY_PASSES + 1
-    return passes * min(n_rays, DRAFT_RAYS) + FINAL_PASSES * n_rays
