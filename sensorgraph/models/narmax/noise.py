@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from planners.kernel import kernel
 from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -54,16 +55,7 @@ class Stretches:
         """Store the index (n,) of the scans, increasing; consecutive scans differ by 1, so a gap must skip a number."""
         first = np.r_[True, np.diff(index) != 1] if len(index) else np.zeros(0, dtype=np.bool_)
         starts = np.flatnonzero(first)
-        lengths = np.diff(np.r_[starts, len(index)])
-        self.position = np.arange(len(index)) - np.repeat(starts, lengths)
-        self._groups = []
-        size = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
-        for power in np.unique(size).tolist():  # stretches of similar length, padded to the longest
-            mine = np.flatnonzero(size == power)
-            longest = int(lengths[mine].max())
-            place = starts[mine][:, None] + np.arange(longest)
-            there = np.arange(longest) < lengths[mine][:, None]
-            self._groups.append((np.where(there, place, 0), there))
+        self.position = np.arange(len(index)) - np.repeat(starts, np.diff(np.r_[starts, len(index)]))
 
     def lagged(self, values: Floats, lag: int) -> Floats:
         """Return the values (n,) of `lag` scans before; 0 before the start of a stretch."""
@@ -73,17 +65,18 @@ class Stretches:
 
     def whitened(self, noise: Floats, values: Floats) -> Floats:
         """Filter values (n, m) by 1 / C(q) = 1 / (1 + c1 q⁻¹ + ...), from rest at the start of each stretch."""
-        if not noise.any():
-            return values
-        from scipy.signal import lfilter  # imported here, since it takes 0.3 s
-
-        if len(values) and self.position[-1] == len(values) - 1:  # one stretch
-            return np.asarray(lfilter([1.0], np.r_[1.0, noise], values, axis=0))
-        out = np.empty_like(values)
-        for place, there in self._groups:
-            filtered = lfilter([1.0], np.r_[1.0, noise], values[place], axis=1)
-            out[place[there]] = filtered[there]
+        out = np.array(values, order="C")
+        _whiten(out, noise, self.position)
         return out
+
+
+@kernel
+def _whiten(values: Floats, noise: Floats, position: Ints) -> None:
+    """Subtract sum_l c_l times row k - l from each row k of values (n, m), in the order of the rows."""
+    for k in range(len(values)):
+        for lag in range(1, min(len(noise), position[k]) + 1):
+            for j in range(values.shape[1]):
+                values[k, j] -= noise[lag - 1] * values[k - lag, j]
 
 
 def estimate(phi: Floats, y: Floats, twists: Floats, index: Ints, noise_lags: int) -> RayEstimate:
