@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from planners.array_kernels import make_heap, pop_least
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY
 from sensorgraph.models.faces.visibility import FIT_SIGMAS, PRIOR_CROSSINGS, PRIOR_STOPS
 
@@ -77,7 +77,7 @@ def blur_edges(
         if j < 0:
             break
         is_kept[j] = True
-        spread = _mean_error(places, spreads, 0.5 * (e[j] + e[j + 1]))
+        spread = mean_error(places, spreads, 0.5 * (e[j] + e[j + 1]))
         if width > MAX_ERRORS * spread:
             continue
         low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 2], e[j + 1] + WINDOW * spread)
@@ -106,7 +106,7 @@ def blur_edges(
         is_kept[j - 1] = is_kept[j] = False
         _fit_levels(t, stop, weight, error, e, level, n)
     for j in range(1, n - 1):
-        spread = _mean_error(places, spreads, e[j])
+        spread = mean_error(places, spreads, e[j])
         if spread < MIN_ERROR:
             continue
         low, high = max(e[j - 1], e[j] - WINDOW * spread), min(e[j + 1], e[j] + WINDOW * spread)
@@ -159,7 +159,7 @@ def _normal_cdf(x: Any) -> Any:
 
 
 @kernel
-def _mean_error(t: Any, error: Any, place: Any) -> Any:
+def mean_error(t: Any, error: Any, place: Any) -> Any:
     """Return the mean standard error [m] of the crossings next to a position."""
     middle: Any = np.searchsorted(t, place)
     total, count = 0.0, 0
@@ -173,6 +173,18 @@ def _mean_error(t: Any, error: Any, place: Any) -> Any:
 def _log_likelihood(y: Any, w: Any, p: Any) -> Any:
     p = min(max(p, MIN_CHANCE), 1.0 - MIN_CHANCE)
     return w * (y * math.log(p) + (1.0 - y) * math.log(1.0 - p))
+
+
+@outer_kernel
+def edge_log_likelihood(
+    t: Any, stop: Any, weight: Any, error: Any, a: Any, b: Any, before: Any, after: Any, place: Any
+) -> Any:
+    """Return the log likelihood [nats] of crossings a ... b - 1 for one blurred edge at abscissa `place`."""
+    total = 0.0
+    for i in range(a, b):
+        p = before + (after - before) * _normal_cdf((t[i] - place) / max(error[i], MIN_ERROR))
+        total += _log_likelihood(stop[i], weight[i], p)
+    return total
 
 
 @inner_kernel
@@ -202,10 +214,7 @@ def _best_place(
             s = centre + half * k / SEARCH_HALF
             if s < low or s > high:
                 continue
-            total = 0.0
-            for i in range(a, b):
-                p = before + (after - before) * _normal_cdf((t[i] - s) / max(error[i], MIN_ERROR))
-                total += _log_likelihood(stop[i], weight[i], p)
+            total = edge_log_likelihood(t, stop, weight, error, a, b, before, after, s)
             if total > best:
                 best, place = total, s
         centre, half = place, half / SEARCH_HALF

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import ndtr
 
-from sensorgraph.models.faces.blurred_edges import MIN_CHANCE, MIN_ERROR, WINDOW
+from sensorgraph.models.faces.blurred_edges import WINDOW, edge_log_likelihood, mean_error
 from sensorgraph.models.faces.change_points import Crossings, is_visible, take_faces
 from sensorgraph.models.faces.ray_march import MIN_LENGTH, MIN_VISIBILITY, FaceSet
 from sensorgraph.models.faces.settings import FACES
@@ -89,33 +88,15 @@ def _loss(
     faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, weight: Floats, error: Floats
 ) -> float:
     """Return the log likelihood [nats] lost by moving edge e of face k to abscissa s; pose noise blurs edges."""
-    old = faces.edges[e]
-    margin = WINDOW * _median_error(t, error, old)
+    old = float(faces.edges[e])
+    margin = WINDOW * mean_error(t, error, old)
     a, b = np.searchsorted(t, [min(old, s) - margin, max(old, s) + margin])
     after = faces.levels[e]
     before = faces.levels[e - 1] if e > faces.first[k] else 0.0
-    y, w, tau = stop[a:b], weight[a:b], np.maximum(error[a:b], MIN_ERROR)
-    before_move, after_move = (
-        np.clip(
-            before + (after - before) * ndtr((t[a:b] - place) / tau),
-            MIN_CHANCE,
-            1 - MIN_CHANCE,
-        )
-        for place in (old, s)
+    stays, moves = (
+        edge_log_likelihood(t, stop, weight, error, a, b, before, after, place) for place in (old, s)
     )
-    return float(
-        (
-            w
-            * (y * np.log(before_move / after_move) + (1 - y) * np.log((1 - before_move) / (1 - after_move)))
-        ).sum()
-    )
-
-
-def _median_error(t: Floats, error: Floats, place: float) -> float:
-    """Return the median standard error [m] of crossings near a position; 0 without crossings."""
-    middle = int(np.searchsorted(t, place))
-    near = error[max(middle - 10, 0) : middle + 10]
-    return float(np.median(near)) if len(near) else 0.0
+    return float(stays - moves)
 
 
 def _with_sorted_edges(faces: FaceSet) -> FaceSet:
