@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from planners.kernel import inner_kernel, outer_kernel
+from planners.kernel import inner_kernel, kernel
+from sensorgraph.models.cells.grid import traverse
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Bools, Floats
 
@@ -153,33 +154,17 @@ def is_ray_observed(
             return False
 
 
-@outer_kernel
+@kernel
 def _count_rays(
     origins: Any, directions: Any, reach: Any, marks_free: Any, origin: Any, cell: Any, counts: Any, free: Any
 ) -> Any:
     nx, ny = counts.shape
+    at, ends = np.empty((nx + ny, 2), np.int64), np.empty(nx + ny)  # a ray crosses no more cells of the grid
     for k in range(len(reach)):
-        ux, uy = directions[k, 0], directions[k, 1]
-        x, y = (origins[k, 0] - origin[0]) / cell, (origins[k, 1] - origin[1]) / cell
-        i, j = int(np.floor(x)), int(np.floor(y))
-        step_x = 1 if ux > 0 else -1
-        step_y = 1 if uy > 0 else -1
-        per_x = cell / abs(ux) if abs(ux) > 1e-12 else 1e300
-        per_y = cell / abs(uy) if abs(uy) > 1e-12 else 1e300
-        next_x = ((i + 1 - x) if ux > 0 else (x - i)) * per_x
-        next_y = ((j + 1 - y) if uy > 0 else (y - j)) * per_y
-        while 0 <= i < nx and 0 <= j < ny:
-            if counts[i, j] < MAX_COUNT:
-                counts[i, j] += 1
-            if marks_free[k]:
-                free[i, j] = True
-            if next_x < next_y:
-                if next_x > reach[k]:
-                    break
-                next_x += per_x
-                i += step_x
-            else:
-                if next_y > reach[k]:
-                    break
-                next_y += per_y
-                j += step_y
+        x, y = origins[k, 0] - origin[0], origins[k, 1] - origin[1]
+        n = traverse(x, y, directions[k, 0], directions[k, 1], reach[k], cell, at, ends)
+        for m in range(n):
+            i, j = at[m]
+            if 0 <= i < nx and 0 <= j < ny:
+                counts[i, j] = min(counts[i, j] + 1, MAX_COUNT)
+                free[i, j] = free[i, j] or marks_free[k]
