@@ -57,10 +57,6 @@ class RaySample:
     def __len__(self) -> int:
         return len(self.ranges)
 
-    def merge(self, other: RaySample) -> RaySample:
-        """Concatenate two samples."""
-        return _concatenate([self, other])
-
     def spread_evenly(self, sensor: RangeSensor) -> RaySample:
         """Return at most MAX_SAMPLED_RAYS rays, with up to the same number from each place and direction."""
         if len(self) <= MAX_SAMPLED_RAYS:
@@ -89,9 +85,6 @@ class RaySample:
         )
 
 
-EMPTY_SAMPLE = RaySample(poses=np.zeros((0, 3)), beams=np.zeros(0, dtype=np.int32), ranges=np.zeros(0))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reduction:
     """The reduction of any number of scans."""
@@ -109,16 +102,6 @@ class Reduction:
         if sample.weights is not None:
             sample = replace(sample, weights=sample.weights * (self.n_rays / sample.weights.sum()))
         return replace(self, sample=sample)
-
-    def merge(self, other: Reduction) -> Reduction:
-        """Add the reductions of two disjoint sets of scans, those of `self` first."""
-        return Reduction(
-            hit_moments=self.hit_moments.merge(other.hit_moments),
-            observed=self.observed.merge(other.observed),
-            sample=self.sample.merge(other.sample),
-            n_rays=self.n_rays + other.n_rays,
-            n_returns=self.n_returns + other.n_returns,
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,8 +184,17 @@ def reduce_blocks(
     samples: list[RaySample] = []
     for part in map_blocks(work, blocks):
         samples.append(part.sample)  # concatenated once, not with every block
-        part = replace(part, sample=EMPTY_SAMPLE)
-        total = part if total is None else total.merge(part)
+        total = (
+            part
+            if total is None
+            else replace(
+                total,
+                hit_moments=total.hit_moments.merge(part.hit_moments),
+                observed=total.observed.merge(part.observed),
+                n_rays=total.n_rays + part.n_rays,
+                n_returns=total.n_returns + part.n_returns,
+            )
+        )
         if tick is not None:
             tick()
     return None if total is None else replace(total, sample=_concatenate(samples))
