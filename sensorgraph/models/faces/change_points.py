@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from planners.groups import members
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.faces.blurred_edges import blur_edges
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet, bucket_grid
@@ -55,9 +56,7 @@ class Crossings(NamedTuple):
 
     def of_faces(self, index: Ints) -> Crossings:
         """Return the crossings of some faces, in the order of `index`."""
-        parts = [np.arange(self.bounds[k], self.bounds[k + 1]) for k in index]
-        place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
-        bounds = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.intp)
+        place, bounds = _places(self.bounds, index)
         return Crossings(self.t[place], self.stop[place], self.weight[place], self.error[place], bounds)
 
 
@@ -99,39 +98,30 @@ def sorted_crossings(
     face: Ints, t: Floats, stop: Floats, weight: Floats, error: Floats, n_faces: int
 ) -> Crossings:
     """Sort crossings (n,) by face, then by abscissa."""
-    order = np.argsort(_sort_key(face, t), kind="stable")
+    order = np.lexsort((t, face))
     bounds = np.searchsorted(face[order], np.arange(n_faces + 1))
     return Crossings(t[order], stop[order], weight[order], error[order], bounds)
 
 
 def is_visible(faces: FaceSet) -> Bools:
     """Return a mask (n_faces,) of the faces with a visible stretch."""
-    return np.array(
-        [
-            (faces.levels[faces.first[k] : faces.first[k + 1]] > MIN_VISIBILITY).any()
-            for k in range(faces.n_faces)
-        ],
-        dtype=np.bool_,
-    )
+    return np.logical_or.reduceat(faces.levels > MIN_VISIBILITY, faces.first[:-1])
 
 
-def _sort_key(face: Ints, t: Floats) -> Floats:
-    """Return a key (n,) that sorts by face, then by abscissa, so that one sort suffices."""
-    if len(t) == 0:
-        return np.zeros(0)
-    low, high = t.min(), t.max()
-    return np.asarray(face * (2 * (high - low) + 1.0) + (t - low), dtype=np.float64)
+def _places(bounds: Ints, index: Ints) -> tuple[Ints, Ints]:
+    """Return the members of some groups, given by the first member of each (n_groups + 1,), and their own bounds."""
+    owner, rank = members(np.diff(bounds)[index])
+    return bounds[index][owner] + rank, np.append(0, np.cumsum(np.diff(bounds)[index])).astype(np.intp)
 
 
 def take_faces(faces: FaceSet, index: Ints) -> FaceSet:
     """Return some faces; neighbours that are removed become -1."""
-    parts = [np.arange(faces.first[k], faces.first[k + 1]) for k in index]
-    place = np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
+    place, first = _places(faces.first, index)
     renamed = np.full(faces.n_faces + 1, -1, dtype=np.intp)
     renamed[index] = np.arange(len(index))
     return FaceSet(
         normals=faces.normals[index], offsets=faces.offsets[index],
-        first=np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.intp),
+        first=first,
         edges=faces.edges[place], levels=faces.levels[place], blur=faces.blur[place],
         neighbour=renamed[faces.neighbour[place]],
     )  # fmt: skip
