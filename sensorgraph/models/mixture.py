@@ -18,8 +18,6 @@ from sensorgraph.types import Bools, Floats
 
 CLEAR_SHARE = 0.999
 """Share of one candidate above which the median is its range; the error is below 0.003 standard deviations."""
-BRACKET = 8.0
-"""Half width of the bracket of the median, in standard deviations of the widest candidate: more than `TAIL`."""
 MAX_STEPS, MIN_STEP = 40, 1e-8
 """Maximum number of Newton steps, of which five are usual; step at which they end, in standard deviations."""
 MIN_WEIGHT = 1e-12
@@ -51,7 +49,7 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
             break
     for i in range(k + 1, last):
         widest = max(widest, s[i])
-    low, high, x = r[k] - BRACKET * widest, r[k] + BRACKET * widest, r[k]
+    low, high, x = r[k] - TAIL * widest, r[k] + TAIL * widest, r[k]
     for _ in range(MAX_STEPS):
         over, slope = -0.5 * total, 0.0
         for i in range(first, last):

@@ -19,8 +19,6 @@ RowGrid = NDArray[np.int32]
 CellIndices = NDArray[np.int64]
 
 N_SECTORS = 16
-DIAGONAL = 1.4143
-"""Maximum number of cells that a ray crosses per cell side: the square root of 2, rounded up."""
 BORDER_CELLS = 6
 """Width of the margin around the covered cells, so that neighbours within it need no bounds check."""
 
@@ -107,4 +105,4 @@ def traverse(
 @kernel
 def max_cells_met(far: float, cell: float) -> int:
     """Return the maximum number of cells that a ray of length `far` [m] can cross."""
-    return int(DIAGONAL * far / cell) + 4
+    return int(math.sqrt(2.0) * far / cell) + 4

@@ -32,8 +32,6 @@ INTERCEPT_RIDGE = 1e-6
 """Precision of the prior of the constant term."""
 MAX_PASSED_SAMPLES = 60_000
 """Maximum number of samples of passed cells, of all folds; they are weighted to represent all of them."""
-MAX_LOGIT = 30.0
-"""Logit beyond which a probability is numerically 0 or 1."""
 MIN_STEP, MIN_FALL = 1e-3, 1e-5
 """Minimum fraction of a Newton step, and relative decrease of the loss at which the iteration ends."""
 
@@ -147,7 +145,7 @@ def fit_logistic(
     beta = start.copy()
     current, eta = loss(beta)
     for _ in range(steps):
-        p = 1.0 / (1.0 + np.exp(-np.clip(eta, -MAX_LOGIT, MAX_LOGIT)))
+        p = np.exp(-np.logaddexp(0.0, -eta))
         gradient = phi.T @ (weight * (label - p)) - penalty * (beta - prior)
         root = phi * np.sqrt(weight * p * (1.0 - p)).astype(np.float32)[:, None]
         gram = (root.T @ root).astype(np.float64)

@@ -24,25 +24,20 @@ MIN_SPREAD = 0.005
 """[m] Smallest spread about a face, and of the place of a line."""
 EM_STEPS = 6
 """Number of EM steps of the spread; later ones change it by less than 2 %."""
-N_INCIDENCES = 8
-"""Number of classes of the angle of incidence."""
 
 
 @kernel
 def add_squares(
-    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, work: RayWork, weights: Floats,
-    squares: Floats, tangents: Floats,
+    poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, work: RayWork, sums: Floats, rough: Floats
 ) -> None:  # fmt: skip
-    """Add the responsibilities of all candidates for the measured ranges, and their squared residuals [m²].
+    """Add what the measured ranges tell of the variances sigma² and across² to `sums`, and of rough² to `rough`.
 
     With p(z) = outlier density + sum_i w_i N(z; r_i, s_i²), candidate i has the responsibility w_i N(z; r_i, s_i²) / p(z).
-    Class 0 is cells without a line; the others are classes of the cosine of incidence, from normal to grazing.
-    `tangents` collects the squared tangents of incidence. All three are (n_classes,). Poses (n, n_rays or 1, 3) are those
-    of the laser.
+    `sums` (2, 3) are the normal equations of the squared residuals on 1 and tan²(angle of incidence), weighted by
+    responsibility / s_i⁴. `rough` (2,) sums responsibilities and squared residuals [m²] in cells without a line. Poses
+    (n, n_rays or 1, 3) are those of the laser.
     """
     _, _, r, w, sigma, _ = work
-    n_classes = len(weights) - 1
-    across = table.across * table.across
     for p in range(len(poses)):
         for q in range(len(bearings)):
             z = ranges[p, q]
@@ -51,48 +46,46 @@ def add_squares(
             n, _ = candidates_of(p, q, poses, bearings, table, work)
             total = density_at(z, r, w, sigma, n) + OUTLIER_DENSITY
             for i in range(n):
-                e = (z - r[i]) / sigma[i]
-                if abs(e) < TAIL and w[i] >= MAX_MERGED:  # merged cells have a spread of their own
-                    share = w[i] * DENSITY_AT_0 * math.exp(-0.5 * e * e) / sigma[i] / total
-                    tangent, k = 0.0, 0
-                    if sigma[i] != table.rough:
-                        tangent = (sigma[i] * sigma[i] - table.sigma * table.sigma) / across
-                        k = 1 + min(
-                            int((1.0 - 1.0 / math.sqrt(1.0 + max(tangent, 0.0))) * n_classes), n_classes - 1
-                        )
-                    weights[k] += share
-                    squares[k] += share * (z - r[i]) ** 2
-                    tangents[k] += share * tangent
+                square = (z - r[i]) ** 2
+                variance = sigma[i] * sigma[i]
+                if square >= TAIL * TAIL * variance or w[i] < MAX_MERGED:
+                    continue  # merged cells have a spread of their own
+                share = w[i] * DENSITY_AT_0 * math.exp(-0.5 * square / variance) / sigma[i] / total
+                if sigma[i] == table.rough:
+                    rough[0] += share
+                    rough[1] += share * square
+                    continue
+                tangent = max(variance - table.sigma * table.sigma, 0.0) / (table.across * table.across)
+                weight = share / (variance * variance)
+                sums[0, 0] += weight
+                sums[0, 1] += weight * tangent
+                sums[1, 1] += weight * tangent * tangent
+                sums[0, 2] += weight * square
+                sums[1, 2] += weight * tangent * square
+    sums[1, 0] = sums[0, 1]
 
 
 def fit_spread(set_aside: Sequence[SetAside], tables: Sequence[CellTable]) -> tuple[float, float, float]:
     """Return sigma, across and rough [m], which maximise the likelihood of set-aside returns, by EM.
 
-    Each fold of set-aside scans has a table of the other scans.
-
-    M-step: a weighted least-squares line through the mean squared residual of each class of incidence, over the squared
-    tangent. The weights are those of variances, n_k / variance². Each class has a prior of `KNOT_WEIGHT` returns at the
-    initial spread.
+    Each fold of set-aside scans has a table of the other scans. M-step: weighted least squares of the squared residuals.
+    The prior is `KNOT_WEIGHT` returns at normal incidence, at 45 degrees and without a line, with the initial variance.
     """
-    prior, first = KNOT_WEIGHT, CELLS.first_sigma
-    spread = np.array([first, 0.5 * first, 1.01 * first])
+    first = CELLS.first_sigma
+    sigma, across, rough = first, 0.5 * first, 1.01 * first
     for _ in range(EM_STEPS):
-        weights, squares, tangents = (np.zeros(N_INCIDENCES + 1) for _ in range(3))
+        sums = KNOT_WEIGHT * np.array([[2.0, 1.0, 2.0 * first**2], [1.0, 1.0, first**2]]) / first**4
+        others = KNOT_WEIGHT * np.array([1.0, first**2])
         for (poses, ranges, bearings), table in zip(set_aside, tables, strict=True):
-            now = table._replace(sigma=float(spread[0]), across=float(spread[1]), rough=float(spread[2]))
-            add_squares(per_ray(poses), ranges, bearings, now, new_work(now), weights, squares, tangents)
-        x = tangents / np.maximum(weights, 1e-9)
-        y = (squares + prior * first**2) / (weights + prior)
-        use = np.flatnonzero(weights[1:] > 0) + 1
-        if len(use) < 2:
-            break
-        scale = np.sqrt(weights[use]) / y[use]
+            now = table._replace(sigma=sigma, across=across, rough=rough)
+            add_squares(per_ray(poses), ranges, bearings, now, new_work(now), sums, others)
         from scipy.optimize import nnls  # imported here, since it takes 0.2 s
 
-        rows = np.column_stack([np.ones(len(use)), x[use]]) * scale[:, None]
-        variances = np.maximum(nnls(rows, y[use] * scale)[0], MIN_SPREAD**2)
-        spread = np.array([*np.sqrt(variances), math.sqrt(max(y[0], MIN_SPREAD**2))])
-    return float(spread[0]), float(spread[1]), float(spread[2])
+        scale = np.sqrt(np.diag(sums))
+        variances = nnls(sums[:, :2] / scale[:, None] / scale, sums[:, 2] / scale)[0] / scale
+        sigma, across = np.sqrt(np.maximum(variances, MIN_SPREAD**2)).tolist()
+        rough = math.sqrt(max(others[1] / others[0], MIN_SPREAD**2))
+    return sigma, across, rough
 
 
 def calibrate_p_off(summaries: NDArray[np.float64], ranges: Floats, scored: Bools) -> Floats:

@@ -35,8 +35,6 @@ SUPPORT_MARGIN = FACES.observed_cell
 """[m] Distance before the predicted range from which a ray needs no support, since the surface was observed."""
 MIN_SURVIVAL, MIN_SHARE = 1e-3, 1e-4
 """Survival probability below which a ray is not followed further, and probability of a stop below which a face is no candidate."""
-MAX_OFF_SIGMAS = 4.5
-"""Ratio of `OFF_DISTANCE` to a standard deviation above which p_off is 0; the error is below 1e-5."""
 
 
 class LaserBeams(NamedTuple):
@@ -155,11 +153,7 @@ def predict_rays(beams: Any, candidates: Any, observed: Any, which: Any, table: 
             row = table[i, b]
             if c == 1:  # most rays have one candidate
                 row[0], row[1], row[2], row[3], row[4] = rho[0], rho[0], rho[0], s[0], survival
-                row[5] = (
-                    math.erfc(OFF_DISTANCE / s[0] * SQRT_HALF)
-                    if MAX_OFF_SIGMAS * s[0] > OFF_DISTANCE
-                    else 0.0
-                )
+                row[5] = math.erfc(OFF_DISTANCE / s[0] * SQRT_HALF)
             else:
                 row[0], row[1], row[2], row[3], row[4], row[5] = summarise(
                     rho, w, s, c, survival, beams.range_max, which
