@@ -273,3 +273,16 @@ class Model(Protocol):
     ) -> Self:
         """Recreate the model from the output of `state`; a wrong shape raises a ValueError."""
         ...
+
+
+def check_options(model: type[Model], options: Mapping[str, Any]) -> None:
+    """Check that a model knows all options.
+
+    Raises
+    ------
+    SensorgraphError : An option is unknown.
+    """
+    if unknown := sorted(options.keys() - model.OPTIONS.keys()):
+        raise SensorgraphError(
+            f"option {', '.join(unknown)} is not known to the model {model.name}; expected {', '.join(model.OPTIONS)}"
+        )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import Point, Prediction, TrainingScans
+from sensorgraph.models.base import Point, Prediction, TrainingScans, check_options
 from sensorgraph.models.calibration.calibrate import calibrate_faces, observed_by, rays_beside_faces
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
@@ -76,11 +76,7 @@ class Faces(FacesData):
         ------
         SensorgraphError : An option is unknown, or no ray returned.
         """
-        if unknown := sorted(options.keys() - set(cls.OPTIONS)):
-            raise SensorgraphError(
-                f"option {', '.join(unknown)} is not known to the model faces, which takes calibrate and cells; "
-                "set `model` to polynomial or remove the option"
-            )
+        check_options(cls, options)
         fitted = cls.fit_blocks(
             blocks_of(scans), scans.sensor, scans.laser_mount, n_scans=len(scans),
             can_mount=scans.pose_frame != "laser", calibrate=options.get("calibrate"),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from robotmodic_ident import Terms
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans, check_options
 from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.mixture import gaussian_prediction
@@ -60,6 +60,7 @@ class RayNarmax(NarmaxParameters):
         ------
         SensorgraphError : An option is unknown or out of range, no stretch is long enough, or no ray returned.
         """
+        check_options(cls, options)
         form = form_of(options)
         if scans.ray_poses is not None:
             raise SensorgraphError(

@@ -72,12 +72,8 @@ def form_of(options: Mapping[str, Any]) -> NarmaxForm:
 
     Raises
     ------
-    SensorgraphError : An option is unknown or out of range.
+    SensorgraphError : An option is out of range.
     """
-    if unknown := set(options) - set(OPTIONS):
-        raise SensorgraphError(
-            f"option {', '.join(sorted(unknown))} is not known to the model narmax; expected {', '.join(OPTIONS)}"
-        )
     chosen = {name: options.get(name, "auto") for name in OPTIONS}
     default = {name: getattr(NARMAX, name) for name in OPTIONS}
     form = NarmaxForm(spacing=1, **{name: default[name] if v == "auto" else v for name, v in chosen.items()})

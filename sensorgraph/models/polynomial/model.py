@@ -19,7 +19,7 @@ from robotmodic_ident import Moments, Scale, Selection, Terms, fourier, polynomi
 from robotmodic_ident.notation.expand import expand
 from robotmodic_ident.notation.printing import sum_text
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans, check_options
 from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.likelihood import log_density
 from sensorgraph.models.mixture import gaussian_prediction
@@ -108,11 +108,7 @@ class Polynomial:
         ------
         SensorgraphError : An option is unknown, or no ray returned.
         """
-        if unknown := set(options) - set(cls.OPTIONS):
-            raise SensorgraphError(
-                f"option {', '.join(sorted(unknown))} is not known to the model polynomial; "
-                "expected degree, harmonics or n_terms"
-            )
+        check_options(cls, options)
         scale = scale_of(scans)
         form = select_form(scans, scale, dictionary, progress=progress, **options)
         terms = dictionary(form.degree, form.harmonics)
