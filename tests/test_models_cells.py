@@ -16,7 +16,6 @@ from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.models.base import OFF_DISTANCE, TrainingScans
-from sensorgraph.models.cells.distribution import NORMAL_TAILS
 from sensorgraph.models.cells.evidence import CellEvidence
 from sensorgraph.models.cells.grid import max_cells_met, traverse
 from sensorgraph.models.cells.key_frames import is_key_frame
@@ -226,12 +225,10 @@ def test_newton_finds_a_planted_polynomial() -> None:
     np.testing.assert_allclose(held[1:], planted[1:], atol=1e-3)  # little data: the prior stays
 
 
-def test_tails_are_stored_and_old_graphs_have_normal_errors(square: CellModel) -> None:
+def test_tails_are_stored(square: CellModel) -> None:
     header, arrays = replace(square, tails=np.array([0.25, 0.8, 1.44])).state()
     again = CellModel.restore(square.sensor, header, arrays)
     np.testing.assert_array_equal(again.tails, [0.25, 0.8, 1.44])
-    del arrays["tails"]
-    np.testing.assert_array_equal(CellModel.restore(square.sensor, header, arrays).tails, NORMAL_TAILS)
     with pytest.raises(ValueError, match="share of wide errors is"):
         CellModel.restore(square.sensor, header, arrays | {"tails": np.array([1.5, 1.0, 1.0])})
 

@@ -193,15 +193,6 @@ def test_cells_of_an_update_are_those_of_all_runs(sweeps: bool, room: Arena, tmp
         np.testing.assert_array_equal(arrays[name], wanted[name], err_msg=name)
 
 
-def test_cells_of_an_earlier_version_are_refused(room: Arena) -> None:
-    run = drive(room, FEW_RAYS, 30, 3)
-    graph = build([run], model="cells", cell=0.2)
-    graph = replace(graph, model=replace(graph.model, frames=None))
-    assert not can_update(graph)
-    with pytest.raises(SensorgraphError, match="no key frames; build it again"):
-        build([drive(room, FEW_RAYS, 30, 4)], update=graph)
-
-
 @pytest.mark.parametrize("others", ["old", *further("old and whole")])
 def test_faces_with_cells_are_updated_together(room: Arena, others: str) -> None:
     west, east = (drive(room, FEW_RAYS, 60, seed, x) for seed, x in ((1, (0.2, 2.3)), (2, (3.1, 3.8))))

@@ -145,9 +145,7 @@ def _fit(
 def can_update(graph: Sensorgraph) -> bool:
     """Tell whether runs can be added to a graph."""
     model = graph.model
-    if isinstance(model, Faces):
-        return model.statistics is not None and (model.cells is None or model.cells.frames is not None)
-    return isinstance(model, CellModel) and model.frames is not None
+    return isinstance(model, CellModel) or (isinstance(model, Faces) and model.statistics is not None)
 
 
 def _updated(

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from logs.run import RangeSensor
 from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans
-from sensorgraph.models.cells.distribution import KNOTS, NORMAL_TAILS, fill_log_likelihoods, shape_mixtures
+from sensorgraph.models.base import POINTS, Point, Prediction, TrainingScans, check_options
+from sensorgraph.models.cells.distribution import KNOTS, fill_log_likelihoods, shape_mixtures
 from sensorgraph.models.cells.drawing import draw_readings
 from sensorgraph.models.cells.evidence import CELL_SIZE, MAX_REACH, MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import per_ray
@@ -58,8 +58,8 @@ class CellModel:
     """Share of missing returns among the readings beyond reach; the others are longer ranges."""
     counts: Mapping[str, int]
     """Numbers of training data: scans, key_frames, set_aside, hits."""
-    frames: KeyFrames | None = None
-    """Scans from which the cells were made; None in a graph of an earlier version, which cannot be updated."""
+    frames: KeyFrames
+    """Scans from which the cells were made."""
 
     @classmethod
     def fit(
@@ -80,10 +80,7 @@ class CellModel:
         ------
         SensorgraphError : An option is unknown, the cell size is out of range, or no ray returned within reach.
         """
-        if unknown := set(options) - set(cls.OPTIONS):
-            raise SensorgraphError(
-                f"option {', '.join(sorted(unknown))} is not known to the model cells; expected cell [m]"
-            )
+        check_options(cls, options)
         cell = float(options.get("cell", CELL_SIZE))
         if not MIN_CELL <= cell <= MAX_CELL:
             raise SensorgraphError(f"cell is {cell:g} m, expected {MIN_CELL:g} to {MAX_CELL:g}")
@@ -117,12 +114,8 @@ class CellModel:
 
         Raises
         ------
-        SensorgraphError : The graph is of an earlier version, which kept no key frames, or no ray returned within reach.
+        SensorgraphError : No ray returned within reach.
         """
-        if self.frames is None:
-            raise SensorgraphError(
-                "the graph was built by an earlier version, which kept no key frames; build it again from all runs"
-            )
         scans = scans.with_mount(self.mount)
         return self.fit(scans, before=self.frames, progress=progress, cell=self.table.cell)
 
@@ -232,10 +225,8 @@ class CellModel:
             "tails": self.tails,
             "mount": self.mount,
         }
-        if self.frames is not None:
-            header["frames"], own = self.frames.state()
-            arrays |= {f"frames.{name}": array for name, array in own.items()}
-        return header, arrays
+        header["frames"], own = self.frames.state()
+        return header, arrays | {f"frames.{name}": array for name, array in own.items()}
 
     @classmethod
     def restore(
@@ -256,7 +247,7 @@ class CellModel:
         index[kept] = np.arange(n, dtype=np.int32)
         expected = {
             "rate": (n + 1, 16), "angle": (n + 1, 16), "offset": (n + 1, 16), "is_seen": (n + 1,),
-            "beta": (len(TERMS),), "said": (len(POINTS), len(KNOTS)), "mount": (3,), "low": (2,),
+            "beta": (len(TERMS),), "said": (len(POINTS), len(KNOTS)), "mount": (3,), "low": (2,), "tails": (3,),
         }  # fmt: skip
         for name, shape in expected.items():
             kind = {"rate": "u1", "angle": "u1", "is_seen": "u1", "offset": "i1"}.get(name, "f8")
@@ -266,22 +257,19 @@ class CellModel:
         check_range("rate", arrays["rate"], 0, len(RATES) - 1)
         check_range("said", arrays["said"], 0, 1)
         check_range("nothing", header["nothing"], 0, 1)
-        for name in ("cell", "reach", "sigma"):
+        for name in ("cell", "reach", "sigma", "rough"):
             check_positive(name, header[name])
-        check_positive("rough", header.get("rough", header["sigma"]))
-        check_range("across", header.get("across", 0.0), 0)
-        tails = arrays.get("tails", NORMAL_TAILS)  # graphs of earlier versions have normal errors
-        check_shape("tails", tails, NORMAL_TAILS.shape, "f")
-        check_range("share of wide errors", tails[0], 0, 1)
-        check_positive("the smaller factor of tails", tails[1:].min())
+        check_range("across", header["across"], 0)
+        check_range("share of wide errors", arrays["tails"][0], 0, 1)
+        check_positive("the smaller factor of tails", arrays["tails"][1:].min())
         table = CellTable(
             low=arrays["low"], cell=float(header["cell"]), reach=float(header["reach"]), rows=index,
             rate=arrays["rate"], angle=arrays["angle"], offset=arrays["offset"],
-            sigma=float(header["sigma"]), across=float(header.get("across", 0.0)),
-            rough=float(header.get("rough", header["sigma"])), is_seen=arrays["is_seen"],
+            sigma=float(header["sigma"]), across=float(header["across"]),
+            rough=float(header["rough"]), is_seen=arrays["is_seen"],
         )  # fmt: skip
         return cls(
             sensor=sensor, mount=arrays["mount"], table=table, beta=arrays["beta"], reliability=arrays["said"],
-            tails=tails, nothing=float(header["nothing"]), counts=header["counts"],
-            frames=KeyFrames.restore(header["frames"], with_prefix("frames.", arrays)) if "frames" in header else None,
+            tails=arrays["tails"], nothing=float(header["nothing"]), counts=header["counts"],
+            frames=KeyFrames.restore(header["frames"], with_prefix("frames.", arrays)),
         )  # fmt: skip

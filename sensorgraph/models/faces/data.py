@@ -99,13 +99,10 @@ def restored_fields(
             origin=np.asarray(arrays["crossed.origin"], dtype=np.float64),
             cell=float(header["cell"]),
             counts=np.asarray(arrays["crossed.counts"], dtype=np.uint8),
-            free=np.asarray(
-                arrays["crossed.free"] if "crossed.free" in arrays else arrays["crossed.counts"],
-                dtype=np.bool_,
-            ),
+            free=np.asarray(arrays["crossed.free"], dtype=np.bool_),
         ),
         "returns": float(header["returns"]),
-        "n_rays": int(header.get("n_rays", 0)),
+        "n_rays": int(header["n_rays"]),
         "statistics": SufficientStatistics.from_arrays(statistics, faces) if statistics else None,
         "mount": np.asarray(arrays["mount"], dtype=np.float64),
         "calibration": Calibration.restore(
@@ -136,11 +133,10 @@ def _check_other_fields(
         raise ValueError(
             f"crossed.counts has shape {counts.shape} of {counts.dtype}, expected (nx, ny) of uint8"
         )
-    if "crossed.free" in arrays:
-        check_shape("crossed.free", arrays["crossed.free"], counts.shape, "b")
+    check_shape("crossed.free", arrays["crossed.free"], counts.shape, "b")
     check_positive("cell", header["cell"])
     check_range("returns", header["returns"], 0, 1 + ROUNDING)
-    check_range("n_rays", header.get("n_rays", 0), 0)
+    check_range("n_rays", header["n_rays"], 0)
     check_positive("noise.sigma", header["noise"]["sigma"])
     check_range("noise", list(header["noise"].values()), 0)
     if statistics := with_prefix("memory.", arrays):
