@@ -154,61 +154,28 @@ def standard_errors(normal: NormalEquations, chosen: Bools) -> Floats:
     return out
 
 
-@kernel
-def _forward(matrix: Any, rhs: Any, penalties: Any) -> Any:
+def _forward(matrix: Floats, rhs: Floats, penalties: Floats) -> tuple[Bools, float]:
     """Select unknowns by a greedy Cholesky factorisation: gain_i = residual_rhs_i² / (2 remaining_i) - penalties_i.
 
     Each step takes the unknown with the largest gain and eliminates it from all others.
     """
-    chosen = np.zeros(len(rhs), np.bool_)
-    place = np.empty(
-        len(rhs), np.int64
-    )  # unknowns that may still be selected; the arrays below have their order
-    n = 0
-    for i in range(len(rhs)):
-        if penalties[i] < np.inf and matrix[i, i] > 0:
-            place[n] = i
-            n += 1
-    remaining, residual_rhs, least = np.empty(n), np.empty(n), np.empty(n)
-    for p in range(n):
-        remaining[p], residual_rhs[p] = matrix[place[p], place[p]], rhs[place[p]]
-        least[p] = MIN_REMAINING * remaining[p]
-    rows = np.zeros((n, n))  # of the Cholesky factor, one for each selected unknown
+    remaining, residual_rhs = np.diag(matrix).copy(), rhs.copy()
+    least, chosen = np.maximum(MIN_REMAINING * remaining, 1e-300), np.zeros(len(rhs), dtype=np.bool_)
+    rows = np.zeros((len(rhs), len(rhs)))  # of the Cholesky factor, one for each selected unknown
     total_gain = 0.0
-    for step in range(n):
-        best, at = 0.0, -1
-        for p in range(n):
-            if remaining[p] < least[p] or remaining[p] <= 0:
-                continue
-            penalty = penalties[place[p]]
-            gain = 1e300 if penalty == -np.inf else 0.5 * residual_rhs[p] ** 2 / remaining[p] - penalty
-            if gain > best:
-                best, at = gain, p
-        if at < 0:
+    for step in range(len(rhs)):
+        can_be = ~chosen & (remaining >= least)
+        gain = 0.5 * residual_rhs**2 / np.where(can_be, remaining, 1.0) - penalties
+        at = int(np.argmax(np.where(can_be, gain, -np.inf)))
+        if not (can_be[at] and gain[at] > 0):
             break
-        own, scale, penalty = place[at], np.sqrt(remaining[at]), penalties[place[at]]
+        scale = np.sqrt(remaining[at])
+        rows[step] = (matrix[at] - rows[:step, at] @ rows[:step]) / scale
         amount = residual_rhs[at] / scale
-        total_gain += 0.5 * amount**2 - (penalty if penalty > -1e300 else 0.0)
-        chosen[own] = True
-        n -= 1  # the last unknown takes the place of the selected one
-        place[at], remaining[at], residual_rhs[at], least[at] = (
-            place[n],
-            remaining[n],
-            residual_rhs[n],
-            least[n],
-        )
-        row = rows[step]
-        for p in range(n):
-            row[p] = matrix[own, place[p]]
-        for k in range(step):
-            factor, earlier = rows[k, at], rows[k]
-            earlier[at] = earlier[n]
-            for p in range(n):
-                row[p] -= factor * earlier[p]
-        for p in range(n):
-            row[p] /= scale
-            remaining[p] -= row[p] ** 2
-            residual_rhs[p] -= row[p] * amount
+        total_gain += 0.5 * amount**2 - (penalties[at] if np.isfinite(penalties[at]) else 0.0)
+        chosen[at] = True
+        remaining -= rows[step] ** 2
+        residual_rhs -= rows[step] * amount
     return chosen, total_gain
 
 
