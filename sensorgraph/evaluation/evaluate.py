@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,17 +14,17 @@ from numpy.typing import NDArray
 from logs.html_table import html_table
 from logs.motion import motion_of, ray_poses
 from logs.run import Pairing, PoseFrame, Run, pair
+from logs.transforms import compose, invert
 from sensorgraph.building.build import training_scans
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.evaluation.in_sequence import SequenceScores, sequence_predictions
+from sensorgraph.evaluation.in_sequence import sequence_metrics, sequence_predictions
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums, Reliability
 from sensorgraph.graph import POSES_AT_A_TIME, Sensorgraph
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats, Ints, Progress
 from sensorgraph.world.ray_order import bearings_text, ray_order
-from sensorgraph.world.raycast import laser_poses
 from sensorgraph.world.simulate import SCANS_PER_STEP
 
 MIN_SCORED_RANGE = 0.1
@@ -127,7 +126,9 @@ def evaluate(
     SensorgraphError : The sensor differs, the poses jump, or no scan or ray can be scored.
     """
     cap = min(MAX_SCORED_RANGE, run.sensor.range_max) if cap is None else cap
-    _check_fits(graph, run, cap)
+    if not cap > MIN_SCORED_RANGE:
+        raise SensorgraphError(f"cap is {cap:g} m, expected more than {MIN_SCORED_RANGE} m")
+    rays = _rays_of(graph, run)
     pairing = pair(run)
     check_jumps(run, pairing, force=force)
     index = np.flatnonzero(pairing.paired & (held_out(run, split) if split is not None else True))
@@ -137,12 +138,6 @@ def evaluate(
     sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
     all_rays, answered = (
         MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma) for _ in ("all", "answered")
-    )
-    there = poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses)
-    in_sequence = SequenceScores(
-        sequence_predictions(graph, run, pairing, there, _rays_of(graph, run)),
-        MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma),
-        pairing.paired,
     )
     calibration = Reliability()
     residual = np.full((len(index), run.sensor.n_rays), np.nan)
@@ -159,12 +154,17 @@ def evaluate(
         valid = ~np.isnan(measured)
         all_rays.add(measured, prediction, scored, valid)
         answered.add(measured, prediction, scored & prediction.answered, valid & prediction.answered)
-        in_sequence.add(index[some], measured, scored, valid)
         calibration.add(prediction.p_off[scored], np.abs(off[scored]) > OFF_DISTANCE)
     if not all_rays.total["n"]:
         raise SensorgraphError(
             f"no ray of the run returned between {MIN_SCORED_RANGE} m and {cap:g} m; nothing to score"
         )
+    there = poses_for(graph, run.pose_frame, run.sensor.mount, pairing.poses)
+    in_sequence = sequence_metrics(
+        sequence_predictions(graph, run, pairing, there, rays),
+        (np.cumsum(pairing.paired) - 1)[index], run.ranges[index], np.isfinite(residual), point=point,
+        bearings=run.sensor.bearings, sigma=sigma,
+    )  # fmt: skip
     return Evaluation(
         scan_indices=index,
         graph=graph,
@@ -175,27 +175,21 @@ def evaluate(
         all=all_rays.metrics(np.abs(residual[np.isfinite(residual)])),
         answered_only=answered.metrics(np.abs(residual[np.isfinite(residual) & answered_rays])),
         calibration=calibration.rows(),
-        in_sequence=in_sequence.metrics(),
+        in_sequence=in_sequence,
         answered=answered.total["n"] / all_rays.total["n"],
         settings={
-            "scored": _scored(cap, len(index), run),
+            "scored": {
+                "from_m": MIN_SCORED_RANGE,
+                "to_m": cap,
+                "n_scans": len(index),
+                "of_scans": run.n_scans,
+            },
             "point": {name: point or default for name, default in POINT_OF.items()},
             "split": split,
             "sigma_m": sigma,
             "training": _training_overlap(graph, run, index, split),
         },
     )
-
-
-def _scored(cap: float, n_scans: int, run: Run) -> dict[str, Any]:
-    return {"from_m": MIN_SCORED_RANGE, "to_m": cap, "n_scans": n_scans, "of_scans": run.n_scans}
-
-
-def _check_fits(graph: Sensorgraph, run: Run, cap: float) -> None:
-    """Refuse a cap below the shortest scored range, and a run of another sensor."""
-    if not cap > MIN_SCORED_RANGE:
-        raise SensorgraphError(f"cap is {cap:g} m, expected more than {MIN_SCORED_RANGE} m")
-    _rays_of(graph, run)
 
 
 def _rays_of(graph: Sensorgraph, run: Run) -> Ints:
@@ -236,13 +230,7 @@ def poses_for(graph: Sensorgraph, frame: PoseFrame, mount: Floats, poses: Floats
     """Convert poses (..., 3) to the frame of the graph's training poses; `mount` (3,) is T_base_laser."""
     if frame == graph.pose_frame:
         return poses
-    x, y, yaw = map(float, mount)
-    if graph.pose_frame == "base_link":  # T_map_base = T_map_laser @ inverse(T_base_laser)
-        c, s = math.cos(yaw), math.sin(yaw)
-        x, y, yaw = -(c * x + s * y), -(c * y - s * x), -yaw
-    moved = laser_poses(poses, np.array([x, y, yaw]))
-    moved[..., 2] = np.pi - (np.pi - moved[..., 2]) % (2 * np.pi)
-    return moved
+    return compose(poses, mount if graph.pose_frame == "laser" else invert(mount))
 
 
 def _training_overlap(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str | None) -> str:

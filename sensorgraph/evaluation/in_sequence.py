@@ -11,7 +11,7 @@ from logs.run import Pairing, Run
 from logs.sensor import median_step
 from sensorgraph.evaluation.metrics import Metrics, MetricSums
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.models.base import Prediction
+from sensorgraph.models.base import Point, Prediction
 from sensorgraph.models.narmax.model import RayNarmax
 from sensorgraph.models.narmax.sequences import ScanSequence, held, stretches
 from sensorgraph.types import Bools, Floats, Ints
@@ -64,26 +64,20 @@ def _persistence(measured: Floats, position: Ints, like: Prediction) -> Predicti
     )
 
 
-class SequenceScores:
-    """Metrics of sequence predictions, accumulated piece by piece."""
+def sequence_metrics(
+    predictions: Mapping[str, Prediction], rows: Ints, measured: Floats, scored: Bools, *, point: Point | None,
+    bearings: Floats, sigma: float,
+) -> dict[str, Metrics]:  # fmt: skip
+    """Return the metrics of each prediction by name.
 
-    def __init__(self, predictions: Mapping[str, Prediction], sums: MetricSums, paired: Bools) -> None:
-        """Store the predictions of the paired scans, empty sums as a template, and the mask (n_scans,) of paired scans."""
-        self.predictions, self.place = predictions, np.cumsum(paired) - 1
-        self.sums = {
-            name: MetricSums(bearings=sums.bearings, point=sums.point, sigma=sums.sigma)
-            for name in predictions
-        }
-        self.errors: dict[str, list[Floats]] = {name: [] for name in predictions}
-
-    def add(self, scans: Ints, measured: Floats, scored: Bools, valid: Bools) -> None:
-        """Add some scans of the run, given by index."""
-        for name, whole in self.predictions.items():
-            rows = self.place[scans]
-            part = whole.take(rows)
-            self.sums[name].add(measured, part, scored, valid)
-            self.errors[name].append(np.abs(measured - part.point(self.sums[name].point or "mode"))[scored])
-
-    def metrics(self) -> dict[str, Metrics]:
-        """Return the metrics of each prediction by name."""
-        return {name: sums.metrics(np.concatenate(self.errors[name])) for name, sums in self.sums.items()}
+    Parameters
+    ----------
+    rows : (n_scans,) Rows of the predictions that are compared with `measured` (n_scans, n_rays) [m].
+    scored : (n_scans, n_rays) Rays that count.
+    """
+    out = {}
+    for name, whole in predictions.items():
+        part, sums = whole.take(rows), MetricSums(bearings=bearings, point=point, sigma=sigma)
+        sums.add(measured, part, scored, ~np.isnan(measured))
+        out[name] = sums.metrics(np.abs(measured - part.point(point or "mode"))[scored])
+    return out
