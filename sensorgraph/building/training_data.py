@@ -23,7 +23,7 @@ from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
 from sensorgraph.models.narmax.sequences import MAX_STEP, stretches
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.orientation import orientation
-from sensorgraph.world.ray_order import bearings_text, ray_order, ray_order_line
+from sensorgraph.world.ray_order import ray_order, ray_order_line
 from sensorgraph.world.self_fit import self_fit
 
 logger = logging.getLogger(__name__)
@@ -60,11 +60,7 @@ class TrainingData:
             intake = _LogIntake(name, log.n_scans, self.split, force=self.force)
             own = log.head.sensor.bearings
             order = ray_order(own, self.sensor.bearings)
-            if order is None:
-                raise SensorgraphError(
-                    f"{name} has rays at other bearings ({bearings_text(own, self.sensor.bearings)}); "
-                    "build one graph for each sensor"
-                )
+            assert order is not None  # `build` checks all logs
             if order[0] != 0:
                 line = ray_order_line(own, self.sensor.bearings, "the graph")
                 logger.info("%s: %s", name, line)
