@@ -8,8 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robotmodic_ident import Moments, Scale, Terms
-from robotmodic_ident.selection.forward import forward, invert_upper
+from robotmodic_ident import Moments, Scale, Terms, select
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.polynomial.settings import POLYNOMIAL
@@ -123,37 +122,22 @@ class _Folds:
             if n_terms is None
             else np.array([min(n_terms, len(terms))])
         )
-        grams, cross, power, fold, ray = self._stack(index)
-        own = np.arange(len(fold)) if len(grams) == len(fold) else fold
-        first = [terms.names.index("1")]
-        path = forward(grams, cross, power, int(sizes[-1]), terms.canonical_order, first, own)
-        T = invert_upper(path.factor)
-        upto = np.arange(sizes[-1])[:, None] < sizes  # (n_max, n_sizes)
-        theta = np.matmul(T, path.gain[:, :, None] * upto)  # (n, n_max, n_sizes)
         total, count = np.zeros(len(sizes)), 0
-        for j, (f, r) in enumerate(zip(fold.tolist(), ray.tolist(), strict=True)):
-            rows = self.held[f][np.isfinite(self.y[self.held[f], r])]
-            used = path.order[j] >= 0
-            phi = self.phi[np.ix_(rows, index[path.order[j, used]])]
-            value = np.clip(phi @ theta[j, used], *self.limits)
-            total += np.abs(value - self.y[rows, r][:, None]).sum(axis=0)
-            count += len(rows)
+        for held, moments in zip(self.held, self.moments, strict=True):
+            known = np.flatnonzero(moments.count > 0)
+            picked = select(
+                moments.pick(terms=index, outputs=known), int(sizes[-1]), keep=["1"], refine=False
+            )
+            for j, ray in enumerate(known.tolist()):
+                chosen = picked.chosen(j)
+                T = picked.inverse[j, : len(chosen), : len(chosen)]
+                gain = np.linalg.solve(T, picked.theta[j, chosen])
+                theta = T @ (gain[:, None] * (np.arange(len(chosen))[:, None] < sizes))  # (n_terms, n_sizes)
+                rows = held[np.isfinite(self.y[held, ray])]
+                value = np.clip(self.phi[np.ix_(rows, index[chosen])] @ theta, *self.limits)
+                total += np.abs(value - self.y[rows, ray][:, None]).sum(axis=0)
+                count += len(rows)
         return sizes, total / max(count, 1)
-
-    def _stack(self, index: Ints) -> tuple[Floats, Floats, Floats, Ints, Ints]:
-        """Stack all folds and rays: Gram matrices (one per fold, or per fold and ray), cross, power, fold, ray."""
-        square = np.ix_(index, index)
-        n_rays = self.y.shape[1]
-        fold, ray = np.repeat(np.arange(N_FOLDS), n_rays), np.tile(np.arange(n_rays), N_FOLDS)
-        cross = np.concatenate([m.cross[index] for m in self.moments], axis=1)
-        power = np.concatenate([m.power for m in self.moments])
-        known = np.concatenate([m.count for m in self.moments]) > 0
-        if any(m.missing for m in self.moments):
-            pairs = zip(fold[known].tolist(), ray[known].tolist(), strict=True)
-            grams = np.stack([self.moments[f].gram_of(r)[square] for f, r in pairs])
-        else:
-            grams = np.stack([m.gram[square] for m in self.moments])
-        return grams, cross[:, known], power[known], fold[known], ray[known]
 
 
 def _sizes(n_max: int) -> Ints:
