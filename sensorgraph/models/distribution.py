@@ -69,11 +69,14 @@ class Mixture:
 
     def pdf(self, z: ArrayLike) -> Floats:
         """Return the density [1/m] (n_poses, n_rays) of a reading z [m], given a return; z is broadcast."""
-        return self._each(_pdf, z)
+        x = self._standardised(z)
+        return self._given_return(DENSITY_AT_0 * np.exp(-0.5 * x * x) / self.widths)
 
     def cdf(self, z: ArrayLike) -> Floats:
         """Return the probability (n_poses, n_rays) of a reading below z [m], given a return; z is broadcast."""
-        return self._each(_cdf, z)
+        from scipy.special import ndtr  # imported here, since it takes long
+
+        return self._given_return(ndtr(self._standardised(z)))
 
     def quantile(self, q: ArrayLike) -> Floats:
         """Return the range [m] (n_poses, n_rays) below which a return lies with probability q; q is broadcast.
@@ -88,18 +91,22 @@ class Mixture:
         if not ((wanted > 0) & (wanted < 1)).all():
             wrong = wanted[~((wanted > 0) & (wanted < 1))].flat[0]
             raise ValueError(f"q is {wrong:g}, expected numbers above 0 and below 1")
-        return self._each(_quantile, wanted)
-
-    def _each(self, of_ray: object, values: ArrayLike) -> Floats:
-        shape = self.p_no_return.shape
-        each = np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), shape), order="C")
-        rows = map(
-            np.ascontiguousarray, (self.means, self.weights, self.widths)
-        )  # one compilation for all models
-        out = np.empty(shape)
-        of_ray(*rows, each, out)  # type: ignore[operator]
-        out[np.isnan(each)] = np.nan
+        each = np.array(np.broadcast_to(wanted, self.p_no_return.shape), order="C")
+        arrays = (self.means, self.weights, self.widths)
+        means, weights, widths = map(np.ascontiguousarray, arrays)  # one compilation for all models
+        out = np.empty(each.shape)
+        _quantile(means, weights, widths, each, out)
         return out
+
+    def _standardised(self, z: ArrayLike) -> Floats:
+        """Return (z - r_i) / s_i of every surface, (n_poses, n_rays, n_most)."""
+        each = np.broadcast_to(np.asarray(z, dtype=np.float64), self.p_no_return.shape)
+        return (each[..., None] - np.where(self.weights > 0, self.means, 0.0)) / self.widths
+
+    def _given_return(self, values: Floats) -> Floats:
+        """Return sum_i w_i values_i / W (n_poses, n_rays) for values (n_poses, n_rays, n_most); 0 without a surface."""
+        total = self.weights.sum(axis=-1)
+        return np.asarray((self.weights * values).sum(axis=-1) / np.where(total > 0, total, 1.0))
 
 
 def single_mixture(mean: Floats, sigma: Floats, p_no_return: Floats) -> Mixture:
@@ -153,28 +160,6 @@ def total_of(w: Floats, n: int) -> float:
     for m in range(n):
         total += w[m]
     return total
-
-
-@kernel
-def _pdf(means: Floats, weights: Floats, widths: Floats, z: Floats, out: Floats) -> None:
-    """Fill out (n_poses, n_rays) with the density at z (n_poses, n_rays)."""
-    for i in range(out.shape[0]):
-        for b in range(out.shape[1]):
-            n = count_of(weights[i, b])
-            total = total_of(weights[i, b], n)
-            value = density_at(z[i, b], means[i, b], weights[i, b], widths[i, b], n)
-            out[i, b] = value / total if total > 0.0 else 0.0
-
-
-@kernel
-def _cdf(means: Floats, weights: Floats, widths: Floats, z: Floats, out: Floats) -> None:
-    """Fill out (n_poses, n_rays) with the distribution function at z (n_poses, n_rays)."""
-    for i in range(out.shape[0]):
-        for b in range(out.shape[1]):
-            n = count_of(weights[i, b])
-            total = total_of(weights[i, b], n)
-            below = chance_below(z[i, b], means[i, b], weights[i, b], widths[i, b], 0, n)
-            out[i, b] = below / total if total > 0.0 else 0.0
 
 
 @kernel

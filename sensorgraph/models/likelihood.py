@@ -25,7 +25,7 @@ import math
 import numpy as np
 
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.models.distribution import Mixture, chance_below, count_of, density_at
+from sensorgraph.models.distribution import Mixture, chance_below, density_at
 from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.types import Floats
 
@@ -58,28 +58,12 @@ def log_density_of(
     return math.log(max(value, MIN_DENSITY))
 
 
-@kernel
-def _fill(
-    means: Floats, weights: Floats, widths: Floats, none: Floats, ranges: Floats, range_min: float,
-    stray: float, out: Floats,
-) -> None:  # fmt: skip
-    """Fill out (n_poses, n_rays) with the log-likelihood of ranges (n_poses or 1, n_rays)."""
-    for i in range(out.shape[0]):
-        k = min(i, len(ranges) - 1)
-        for b in range(out.shape[1]):
-            n = count_of(weights[i, b])
-            out[i, b] = log_density_of(
-                ranges[k, b], means[i, b], weights[i, b], widths[i, b], n, none[i, b], range_min, stray
-            )
-
-
 def log_density(mixture: Mixture, ranges: Floats, range_min: float, stray: float) -> Floats:
-    """Return the log-likelihood (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m]."""
-    out = np.empty(mixture.p_no_return.shape)
-    arrays = (mixture.means, mixture.weights, mixture.widths, mixture.p_no_return, ranges)
-    means, weights, widths, none, z = map(np.ascontiguousarray, arrays)  # one compilation for all models
-    _fill(means, weights, widths, none, z, range_min, stray, out)
-    return out
+    """Return the log-likelihood (n_poses, n_rays) of readings (n_poses or 1, n_rays) [m], as `log_density_of` does."""
+    total = mixture.weights.sum(axis=-1)
+    none = np.where(ranges > 0, mixture.p_no_return, total * mixture.cdf(range_min))
+    value = np.where(np.isinf(ranges), none, total * mixture.pdf(ranges) + stray)
+    return np.where(np.isnan(ranges), 0.0, np.log(np.maximum(value, MIN_DENSITY)))
 
 
 def information_share(memory: ResidualMemory, ends: Floats) -> Floats:
