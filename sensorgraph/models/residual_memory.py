@@ -175,20 +175,19 @@ class _Pairs:
     def of(cls, places: Floats, stamps: Floats, sizes: Floats, known: Bools) -> Self:
         """Pair known readings (n_scans, n_rays): neighbours in scan or ray, and readings of places seen again."""
         where = places.reshape(-1, 3)
-        key = _numbered(squares(where, sizes[-1]))
+        key = squares(where, sizes[-1])
         time, good = np.repeat(stamps, known.shape[1]), known.ravel()
-        sector = squares(where, 1.0)[:, 2]
         flat = np.arange(known.size).reshape(known.shape)
         found = [(flat[:-k].ravel(), flat[k:].ravel(), False) for k in SCAN_LAGS if k < len(flat)]
         found += [(flat[:, :-j].ravel(), flat[:, j:].ravel(), False) for j in RAY_LAGS if j < known.shape[1]]
         order = np.flatnonzero(good)
-        order = order[np.lexsort((time[order], key[order]))]
+        order = order[np.lexsort((time[order], *key[order].T))]
         found += [(order[:-stride], order[stride:], True) for stride in STRIDES if stride < len(order)]
         parts = []
         for a, b, is_again in found:
-            use = good[a] & good[b] & (sector[a] == sector[b])
+            use = good[a] & good[b] & (key[a, 2] == key[b, 2])
             if is_again:
-                use &= (key[a] == key[b]) & (time[b] - time[a] > MEMORY.revisit_time)
+                use &= (key[a] == key[b]).all(axis=1) & (time[b] - time[a] > MEMORY.revisit_time)
             some = np.flatnonzero(use)
             some = some[:: len(some) // MAX_PAIRS + 1]
             parts.append((a[some], b[some]))
@@ -235,12 +234,3 @@ class _Pairs:
             shares = np.asarray(nnls(rows, np.r_[target, heavy * MAX_TOTAL_SHARE])[0])
             shares *= min(1.0, MAX_TOTAL_SHARE / float(shares.sum()))
         return shares.reshape(len(sizes), -1)
-
-
-def _numbered(keys: Ints) -> Ints:
-    """Return integers (n,) that are equal where the rows of keys (n, 3) are equal."""
-    low = keys.min(axis=0, initial=0)
-    spans = keys.max(axis=0, initial=0) - low + 1
-    return np.asarray(
-        ((keys[:, 0] - low[0]) * spans[1] + keys[:, 1] - low[1]) * spans[2] + keys[:, 2] - low[2]
-    )
