@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sensorgraph.models.faces.blurred_edges import _pooled
+from sensorgraph.models.faces.blurred_edges import pooled
 from sensorgraph.models.faces.change_points import Crossings, _cost, _partition, fit_stretches
 from sensorgraph.models.faces.fit import _thinned
 from sensorgraph.models.faces.ray_march import FaceSet
@@ -85,9 +85,9 @@ def test_a_partition_costs_no_more_than_any_other(chances: tuple[float, ...]) ->
     assert found == pytest.approx(least[-1], abs=1e-9)
 
 
-def test_pooled_crossings_are_bounded_by_the_length_and_keep_the_sums() -> None:
+def testpooled_crossings_are_bounded_by_the_length_and_keep_the_sums() -> None:
     few, many = (crossed(n, np.array([0.0, 0.998]), [0.4], 0.004) for n in (200_000, 800_000))
-    short, long = (_pooled(*one.at(0)) for one in (few, many))
+    short, long = (pooled(*one.at(0)) for one in (few, many))
     assert len(long[0]) < 1.1 * len(short[0]) < 0.05 * 200_000
     t, stop, weight, error = long
     assert (np.diff(t) >= 0).all()
@@ -96,9 +96,9 @@ def test_pooled_crossings_are_bounded_by_the_length_and_keep_the_sums() -> None:
         assert weight @ mean == pytest.approx(many.weight @ each)
 
 
-def test_crossings_with_exact_places_are_not_pooled() -> None:
+def test_crossings_with_exact_places_are_notpooled() -> None:
     one = crossed(2_000, np.array([0.0, 1.0]), [0.4], 0.0)
-    np.testing.assert_allclose(_pooled(*one.at(0))[0], one.t, atol=1e-12)  # m, rounding
+    np.testing.assert_allclose(pooled(*one.at(0))[0], one.t, atol=1e-12)  # m, rounding
 
 
 def test_drafts_keep_places_that_were_passed_once() -> None:
@@ -118,7 +118,7 @@ def test_drafts_keep_places_that_were_passed_once() -> None:
 
 def test_crossings_without_weight_are_not_in_a_pool() -> None:
     t, error = np.array([0.0, 0.1, 0.5]), np.full(3, 0.004)
-    place, stop, weight, _ = _pooled(t, np.array([1.0, 0.0, 1.0]), np.array([1.0, 0.0, 2.0]), error)
+    place, stop, weight, _ = pooled(t, np.array([1.0, 0.0, 1.0]), np.array([1.0, 0.0, 2.0]), error)
     np.testing.assert_array_equal(place, [0.0, 0.5])
     np.testing.assert_array_equal(stop, [1.0, 1.0])
     np.testing.assert_array_equal(weight, [1.0, 2.0])

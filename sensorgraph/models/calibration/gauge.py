@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.models.calibration.matching import MIN_RANGE, Matches, range_change
+from sensorgraph.models.faces.fit import PASSES
 from sensorgraph.models.faces.maximisation import m_step
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.visibility import Rays, ReturnNoise, binned_faces, e_step, visible_lines
 
-PASSES = 3
-"""EM iterations of the visibility for each shift."""
 MIN_STEP, MAX_SHIFT = 0.0008, 0.03
 """[m] Step at which the search ends, and largest shift; a maximum there counts as not observable."""
 MIN_CONTRAST = 30.0

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from planners.array_kernels import make_heap, pop_least
 from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY
 from sensorgraph.models.faces.visibility import FIT_SIGMAS, PRIOR_CROSSINGS, PRIOR_STOPS
+from sensorgraph.types import Floats
 
 LEVEL_PASSES = 6
 """EM iterations of the visibility of stretches."""
@@ -38,13 +38,11 @@ POOL_WIDTH, POOL_RATIO = 0.25, 1.25
 """Width of a pool, in standard errors, and ratio of the largest to the smallest standard error in it.
 
 Both widen the blur: in terms of its variance by POOL_WIDTH² / 12 = 0.5 %, which no edge resolves."""
-N_POOLS = int(math.log(1e3 / MIN_ERROR) / math.log(POOL_RATIO))
-"""Number of classes of the standard error, up to 1 km."""
 
 
 @kernel
 def blur_edges(
-    t: Any, stop: Any, weight: Any, error: Any, edges: Any, levels: Any, errors: Any, penalty: Any
+    t: Any, stop: Any, weight: Any, error: Any, pools: Any, edges: Any, levels: Any, errors: Any, penalty: Any
 ) -> Any:
     """Remove stretches that one blurred edge explains, and move the other edges to the maximum of the likelihood.
 
@@ -54,6 +52,7 @@ def blur_edges(
     Parameters
     ----------
     t, stop, weight, error : (n,) Crossings of one face as in `Crossings`, sorted.
+    pools : The same four arrays of `pooled` crossings.
     edges, levels, errors : (m + 1,) Edges of its stretches, visibility after each (the last is 0), standard errors [m].
     penalty : [nats] Complexity penalty of a stretch.
 
@@ -66,7 +65,7 @@ def blur_edges(
     places, spreads, sums = t, error, np.zeros((len(t) + 1, 2))
     for i in range(len(t)):
         sums[i + 1, 0], sums[i + 1, 1] = sums[i, 0] + stop[i] * weight[i], sums[i, 1] + weight[i]
-    t, stop, weight, error = _pooled(t, stop, weight, error)
+    t, stop, weight, error = pools
     _fit_levels(t, stop, weight, error, e, level, n)
     is_kept = np.zeros(n, np.bool_)
     while True:
@@ -120,36 +119,18 @@ def blur_edges(
     return e[:n], level[:n], se[:n]
 
 
-@kernel
-def _pooled(t: Any, stop: Any, weight: Any, error: Any) -> Any:
+def pooled(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[Floats, ...]:
     """Pool crossings whose positions and standard errors are alike; return the same four arrays, shorter and sorted."""
-    n = 0
-    rows = np.zeros((4, len(t)))  # sums of w t, w y, w and w error
-    start, own = np.empty(N_POOLS), np.full(N_POOLS, -1)
-    for i in range(len(t)):
-        if not weight[i] > 0.0:
-            continue
-        k = min(
-            max(int(math.log(max(error[i], MIN_ERROR) / MIN_ERROR) / math.log(POOL_RATIO)), 0), N_POOLS - 1
-        )
-        if own[k] < 0 or t[i] - start[k] > POOL_WIDTH * max(error[i], MIN_ERROR):
-            own[k], start[k] = n, t[i]
-            n += 1
-        row, w = own[k], weight[i]
-        rows[0, row] += w * t[i]
-        rows[1, row] += w * stop[i]
-        rows[2, row] += w
-        rows[3, row] += w * error[i]
-    for row in range(n):
-        for c in (0, 1, 3):
-            rows[c, row] /= rows[2, row]
-    heap, out = np.empty(n, np.int64), np.empty((4, n))
-    make_heap(heap, n, rows[0])
-    for i in range(n):
-        row = pop_least(heap, n - i, rows[0])
-        for c in range(4):
-            out[c, i] = rows[c, row]
-    return out[0], out[1], out[2], out[3]
+    t, stop, weight, error = (values[weight > 0] for values in (t, stop, weight, error))
+    size = np.floor(np.log(np.maximum(error, MIN_ERROR)) / math.log(POOL_RATIO))
+    place = np.floor(t / (POOL_WIDTH * POOL_RATIO**size))
+    order = np.lexsort((place, size))
+    is_new = [np.diff(values[order], prepend=np.nan) != 0 for values in (size, place)]
+    start = np.flatnonzero(is_new[0] | is_new[1])
+    total = np.add.reduceat(weight[order], start)
+    t, stop, error = (np.add.reduceat((weight * x)[order], start) / total for x in (t, stop, error))
+    order = np.argsort(t, kind="stable")
+    return t[order], stop[order], total[order], error[order]
 
 
 @inner_kernel

@@ -13,8 +13,8 @@ import numpy as np
 
 from planners.groups import members
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.models.faces.blurred_edges import blur_edges
-from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet, bucket_grid
+from sensorgraph.models.faces.blurred_edges import blur_edges, pooled
+from sensorgraph.models.faces.ray_march import MIN_LENGTH, MIN_VISIBILITY, FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
     MIN_SQUARED_COSINE,
@@ -65,7 +65,7 @@ def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
 
     The crossings of each face, sorted along it, are partitioned by dynamic programming. An edge lies midway between
     the adjacent crossings; if their positions are uncertain, it lies at the maximum of the likelihood
-    (`blurred_edges`). Faces that stop no ray remain; see `is_visible`.
+    (`blurred_edges`). Faces that stop no ray remain; see `has_length`.
     """
     first, edges, levels, blur = [0], [], [], []
     for k in range(faces.n_faces):
@@ -103,9 +103,11 @@ def sorted_crossings(
     return Crossings(t[order], stop[order], weight[order], error[order], bounds)
 
 
-def is_visible(faces: FaceSet) -> Bools:
-    """Return a mask (n_faces,) of the faces with a visible stretch."""
-    return np.logical_or.reduceat(faces.levels > MIN_VISIBILITY, faces.first[:-1])
+def has_length(faces: FaceSet) -> Bools:
+    """Return a mask (n_faces,) of the faces with a visible stretch of some length; corners may take all of a face."""
+    stretches = (faces.levels[:-1] > MIN_VISIBILITY) & (np.diff(faces.edges) > MIN_LENGTH)
+    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))[:-1]
+    return np.bincount(owner[stretches], minlength=faces.n_faces) > 0
 
 
 def _places(bounds: Ints, index: Ints) -> tuple[Ints, Ints]:
@@ -185,7 +187,8 @@ def _stretches(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[
     gap = np.concatenate([[0.0], (t[inner] - t[inner - 1]) / np.sqrt(12), [0.0]])
     level = np.append(level, 0.0)
     if len(inner) and error.any():
-        edges, level, gap = blur_edges(t, stop, weight, error, edges, level, gap, penalty)
+        pools = pooled(t, stop, weight, error)
+        edges, level, gap = blur_edges(t, stop, weight, error, pools, edges, level, gap, penalty)
     level[level < MIN_LEVEL] = 0.0
     return edges + 1e-9 * np.arange(len(edges)), level, gap
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.models.faces.blurred_edges import WINDOW, edge_log_likelihood, mean_error
-from sensorgraph.models.faces.change_points import Crossings, is_visible, take_faces
-from sensorgraph.models.faces.ray_march import MIN_LENGTH, MIN_VISIBILITY, FaceSet
+from sensorgraph.models.faces.change_points import Crossings, has_length, take_faces
+from sensorgraph.models.faces.ray_march import MIN_LENGTH, FaceSet
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import FAINT, MIN_COSINE
-from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.types import Floats, Ints
 
 NEAR = FACES.corner_distance
 MAX_LOSS = 6.0
@@ -43,18 +43,11 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
 
 def joined_visible(faces: FaceSet, crossings: Crossings) -> tuple[FaceSet, Crossings, Ints]:
     """Join the visible faces in corners; return those that keep some length, their crossings, and their old indices."""
-    seen = np.flatnonzero(is_visible(faces))
+    seen = np.flatnonzero(has_length(faces))
     faces, crossings = take_faces(faces, seen), crossings.of_faces(seen)
     faces = join_corners(faces, crossings)
     kept = np.flatnonzero(has_length(faces))
     return take_faces(faces, kept), crossings.of_faces(kept), seen[kept]
-
-
-def has_length(faces: FaceSet) -> Bools:
-    """Return a mask (n_faces,) of the faces with a visible stretch of some length; corners may take all of a face."""
-    stretches = (faces.levels[:-1] > MIN_VISIBILITY) & (np.diff(faces.edges) > MIN_LENGTH)
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))[:-1]
-    return np.bincount(owner[stretches], minlength=faces.n_faces) > 0
 
 
 def _ends(faces: FaceSet) -> tuple[Ints, Ints]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.models.faces.change_points import crossings_of, fit_stretches, is_visible, take_faces
+from sensorgraph.models.faces.change_points import crossings_of, fit_stretches, has_length, take_faces
 from sensorgraph.models.faces.corners import joined_visible, with_edge_errors
 from sensorgraph.models.faces.forward_selection import Lines, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
@@ -86,7 +86,7 @@ def fit_faces(
     faces = without_redundant_faces(draft, faces, noise)
     logger.info("%d faces, none redundant", faces.n_faces)
     faces = fit_stretches(faces, crossings_of(draft, faces, noise, pose_errors))
-    faces = take_faces(faces, np.flatnonzero(is_visible(faces)))
+    faces = take_faces(faces, np.flatnonzero(has_length(faces)))
     work.add(1)
     faces, noise, expectation = _em(final, faces, noise, passes=1)
     faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))

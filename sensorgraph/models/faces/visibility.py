@@ -147,11 +147,6 @@ class Expectation:
     distance: float
     """[m] Total length of all rays."""
 
-    @property
-    def n_faces(self) -> int:
-        """Number of faces."""
-        return len(self.line_sums)
-
 
 def binned_faces(lines: Lines) -> FaceSet:
     """Divide lines into bins, visible within their spans and faintly visible in a margin around them."""
