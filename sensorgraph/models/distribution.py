@@ -23,8 +23,8 @@ SQRT_HALF, DENSITY_AT_0 = 0.7071067811865476, 0.3989422804014327
 """sqrt(1/2), and the standard normal density at 0."""
 TAIL = 6.0
 """Standard deviations beyond which the tail of a surface is neglected: 1e-9."""
-QUANTILE_TOLERANCE = 1e-7
-"""[m] Width of the bracket at which the search for a quantile ends."""
+MAX_STEPS, MIN_STEP = 40, 1e-8
+"""Maximum number of Newton steps, of which five are usual; step at which they end, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,6 +134,45 @@ def chance_below(x: float, r: Floats, w: Floats, s: Floats, first: int, last: in
 
 
 @inner_kernel
+def quantile_of(r: Floats, w: Floats, s: Floats, first: int, last: int, weight: float) -> float:
+    """Solve sum_i w_i Φ((x - r_i) / s_i) = weight for the range x [m], over candidates first ... last - 1.
+
+    Newton's method, with bisection of a bracket where a step leaves it.
+    """
+    below, k, widest = 0.0, last - 1, 0.0
+    for i in range(first, last):
+        below += w[i]
+        widest = max(widest, s[i])
+        if below >= weight:
+            k = i
+            break
+    for i in range(k + 1, last):
+        widest = max(widest, s[i])
+    low, high, x = r[k] - TAIL * widest, r[k] + TAIL * widest, r[k]
+    for _ in range(MAX_STEPS):
+        over, slope = -weight, 0.0
+        for i in range(first, last):
+            z = (x - r[i]) / s[i]
+            if z > TAIL:
+                over += w[i]
+            elif z > -TAIL:
+                over += 0.5 * w[i] * math.erfc(-z * SQRT_HALF)
+                slope += w[i] / s[i] * math.exp(-0.5 * z * z)
+        if over < 0.0:
+            low = x
+        else:
+            high = x
+        slope *= DENSITY_AT_0
+        after = x - over / slope if slope > 0.0 else low
+        if not low < after < high:
+            after = 0.5 * (low + high)
+        if abs(after - x) < MIN_STEP * widest:
+            return float(after)
+        x = after
+    return float(x)
+
+
+@inner_kernel
 def density_at(z: float, r: Floats, w: Floats, s: Floats, n: int) -> float:
     """Return sum_i w_i φ((z - r_i) / s_i) / s_i [1/m] over n candidates."""
     total = 0.0
@@ -164,21 +203,11 @@ def total_of(w: Floats, n: int) -> float:
 
 @kernel
 def _quantile(means: Floats, weights: Floats, widths: Floats, q: Floats, out: Floats) -> None:
-    """Fill out (n_poses, n_rays) with the quantiles q (n_poses, n_rays), by bisection of a bracket of all candidates."""
+    """Fill out (n_poses, n_rays) with the quantiles q (n_poses, n_rays)."""
     for i in range(out.shape[0]):
         for b in range(out.shape[1]):
             n = count_of(weights[i, b])
-            total, low, high = total_of(weights[i, b], n), 1e300, -1e300
-            for m in range(n):
-                low = min(low, means[i, b, m] - TAIL * widths[i, b, m])
-                high = max(high, means[i, b, m] + TAIL * widths[i, b, m])
-            if total <= 0.0:
-                out[i, b] = math.inf
-                continue
-            while high - low > QUANTILE_TOLERANCE:
-                x = 0.5 * (low + high)
-                if chance_below(x, means[i, b], weights[i, b], widths[i, b], 0, n) < q[i, b] * total:
-                    low = x
-                else:
-                    high = x
-            out[i, b] = 0.5 * (low + high)
+            total = total_of(weights[i, b], n)
+            out[i, b] = math.inf
+            if total > 0.0:
+                out[i, b] = quantile_of(means[i, b], weights[i, b], widths[i, b], 0, n, q[i, b] * total)

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS, Point, Prediction
-from sensorgraph.models.distribution import DENSITY_AT_0, SQRT_HALF, TAIL, chance_below
+from sensorgraph.models.distribution import TAIL, chance_below, quantile_of
 from sensorgraph.types import Bools, Floats
 
 CLEAR_SHARE = 0.999
 """Share of one candidate above which the median is its range; the error is below 0.003 standard deviations."""
-MAX_STEPS, MIN_STEP = 40, 1e-8
-"""Maximum number of Newton steps, of which five are usual; step at which they end, in standard deviations."""
 MIN_WEIGHT = 1e-12
 """Total weight of the candidates below which a return is not predicted."""
 MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
@@ -28,10 +26,7 @@ MEDIAN, MODE, MEAN, SIGMA, NO_RETURN, P_OFF = range(6)
 
 @inner_kernel
 def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
-    """Solve sum_i w_i Φ((x - r_i) / s_i) = ½ sum_i w_i for the median x [m] of candidates first ... last - 1.
-
-    Newton's method, with bisection of a bracket where a step leaves it.
-    """
+    """Solve sum_i w_i Φ((x - r_i) / s_i) = ½ sum_i w_i for the median x [m] of candidates first ... last - 1."""
     total = 0.0
     heaviest = first
     for i in range(first, last):
@@ -40,37 +35,7 @@ def median_of(r: Floats, w: Floats, s: Floats, first: int, last: int) -> float:
             heaviest = i
     if w[heaviest] >= CLEAR_SHARE * total:
         return float(r[heaviest])
-    below, k, widest = 0.0, last - 1, 0.0
-    for i in range(first, last):
-        below += w[i]
-        widest = max(widest, s[i])
-        if below >= 0.5 * total:
-            k = i
-            break
-    for i in range(k + 1, last):
-        widest = max(widest, s[i])
-    low, high, x = r[k] - TAIL * widest, r[k] + TAIL * widest, r[k]
-    for _ in range(MAX_STEPS):
-        over, slope = -0.5 * total, 0.0
-        for i in range(first, last):
-            z = (x - r[i]) / s[i]
-            if z > TAIL:
-                over += w[i]
-            elif z > -TAIL:
-                over += 0.5 * w[i] * math.erfc(-z * SQRT_HALF)
-                slope += w[i] / s[i] * math.exp(-0.5 * z * z)
-        if over < 0.0:
-            low = x
-        else:
-            high = x
-        slope *= DENSITY_AT_0
-        after = x - over / slope if slope > 0.0 else low
-        if not low < after < high:
-            after = 0.5 * (low + high)
-        if abs(after - x) < MIN_STEP * widest:
-            return float(after)
-        x = after
-    return float(x)
+    return quantile_of(r, w, s, first, last, 0.5 * total)
 
 
 @inner_kernel
