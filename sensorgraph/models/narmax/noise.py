@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from planners.kernel import kernel
+from sensorgraph.models.narmax.sequences import positions
 from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -53,9 +54,7 @@ class Stretches:
 
     def __init__(self, index: Ints) -> None:
         """Store the index (n,) of the scans, increasing; consecutive scans differ by 1, so a gap must skip a number."""
-        first = np.r_[True, np.diff(index) != 1] if len(index) else np.zeros(0, dtype=np.bool_)
-        starts = np.flatnonzero(first)
-        self.position = np.arange(len(index)) - np.repeat(starts, np.diff(np.r_[starts, len(index)]))
+        self.position = positions(np.r_[True, np.diff(index) != 1])[: len(index)]
 
     def lagged(self, values: Floats, lag: int) -> Floats:
         """Return the values (n,) of `lag` scans before; 0 before the start of a stretch."""

@@ -27,12 +27,7 @@ class ScanSequence:
     @cached_property
     def position(self) -> Ints:
         """(n,) number of preceding scans in the stretch of each scan."""
-        n = len(self.sequence)
-        starts = (
-            np.flatnonzero(np.r_[True, self.sequence[1:] != self.sequence[:-1]]) if n else np.zeros(0, int)
-        )
-        lengths = np.diff(np.r_[starts, n])
-        return np.arange(n) - np.repeat(starts, lengths)
+        return positions(np.r_[True, np.diff(self.sequence) != 0])[: len(self.sequence)]
 
     @cached_property
     def twists(self) -> Floats:
@@ -64,6 +59,12 @@ class ScanSequence:
             for name, values in pose.items()
         }
         return out | {"v(k)": self.twists[rows, 0], "omega(k)": self.twists[rows, 1]}
+
+
+def positions(is_first: Bools) -> Ints:
+    """Return the number of preceding scans in the stretch of each scan (n,), given the first ones."""
+    index = np.arange(len(is_first))
+    return index - np.maximum.accumulate(np.where(is_first, index, 0))
 
 
 def stretches(stamps: Floats, used: Bools, period: float) -> Ints:
