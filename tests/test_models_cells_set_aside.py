@@ -28,9 +28,12 @@ def test_rays_that_leave_the_window_meet_cells_that_no_ray_crossed() -> None:
     )
     evidence = CellEvidence.of(near, np.minimum(room(near), 2.0), BEARINGS, cell=0.05, reach=3.0)
     around = GridWindow.around(np.vstack([near[:, :2], aside[:, :2]]), 3.0, 0.05)
+    i, j = np.subtract(evidence.window.low, around.low)
+    nx, ny = evidence.window.index.shape
+    around.index[i : i + nx, j : j + ny] = evidence.window.index
     beta, spread = np.array(shipped_visibility()), (0.01, 0.0, 0.01)
     found = []
-    for window in (evidence.window, evidence.window.grown(around)):
+    for window in (evidence.window, around):
         kept = replace(evidence, window=window).widened()
         ranges = np.full((3, 91), np.inf)
         found.append(training_samples(kept, aside, ranges, BEARINGS, tabulate(kept, beta, spread)))
