@@ -24,5 +24,5 @@ def test_what_is_fuzzed_works_undamaged(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["inspect", "recover", "show", "predict"])
-def test_an_odd_option_or_a_damaged_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+def test_an_odd_option_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
     assert not fuzz_command(name, 4, 1, tmp_path)

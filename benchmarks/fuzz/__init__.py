@@ -1,4 +1,4 @@
-"""Feed damaged and hostile files to every reader, odd options and damaged files to every command; count what is wrong.
+"""Feed damaged and hostile files to every reader, odd options to every command; count what is wrong.
 
     python -m benchmarks.fuzz [--inputs 100000] [--seed 0] [--only "mcap,robot,$ plan"]
 

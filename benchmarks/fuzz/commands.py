@@ -1,4 +1,4 @@
-"""Every command with odd options and damaged files."""
+"""Every command with odd options; `readers` damages the files that they read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fuzz import samples
-from benchmarks.fuzz.damage import TOKENS, mutate, remcap, rezip, swap_token
+from benchmarks.fuzz.damage import TOKENS
 from benchmarks.fuzz.judge import judge
 from sensorgraph.cli import run as cli
 
@@ -22,8 +22,6 @@ COST = 10.0
 """A command takes so many times the time of a reader, or more, and gets so many times fewer inputs."""
 COSTLY = {"locate": 20.0, "show": 20.0, "identify": 20.0, "plan": 40.0, "diagnose": 40.0}
 """Those that take more."""
-DAMAGED_SHARE = 0.5
-"""Of the inputs: one of the files that the command reads is damaged; the options are then seldom odd."""
 VALUES = (
     "", "0", "-1", "1", "1e308", "nan", "inf", "x", "1,1,0", "1,1", "nan,0,0", "a=b", "scan=/scan", "=", "every10", "block",
     "auto", "mode", "99999999999999999999", "1e-9", "--", "-", "é", "faces", "polynomial", "{run}", "{graph}", "{arena}",
@@ -81,9 +79,9 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
 """Name -> words that work, and options to add; what bears no command's name is another use of one."""
 
 
-def sample_files() -> dict[str, tuple[str, bytes]]:
-    """Return name -> path below the folder and content of what the commands read."""
-    return {
+def write_samples(folder: Path) -> dict[str, Path]:
+    """Write what the commands read and an empty folder for what they write; return name -> place."""
+    files = {
         "arena": ("arena.geojson", samples.GEOJSON),
         "no_go": ("no_go.geojson", samples.NO_GO),
         "map": ("map.yaml", samples.MAP),
@@ -101,76 +99,42 @@ def sample_files() -> dict[str, tuple[str, bytes]]:
         "plan_arena": ("plan/arena.geojson", samples.GEOJSON),
         "plan_robot": ("plan/robot.yaml", samples.ROBOT),
     }
-
-
-def write_samples(folder: Path) -> dict[str, Path]:
-    """Write what the commands read and an empty folder for what they write; return name -> place."""
-    files = sample_files()
+    for name in ("plan", "out"):
+        (folder / name).mkdir(parents=True)
     for path, data in files.values():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(data)
-    (folder / "out").mkdir()
     return {name: folder / path for name, (path, _) in files.items()} | {
-        "out": folder / "out",
-        "plan": folder / "plan",
+        name: folder / name for name in ("plan", "out")
     }
 
 
-def _damaged(name: str, data: bytes, rng: np.random.Generator) -> bytes:
-    inner = {".mcap": remcap, ".sensorgraph": rezip}.get(Path(name).suffix)
-    if inner is not None and len(data) > len(b"MCAP"):
-        return inner(data, rng)
-    return swap_token(data, rng) if rng.random() < 0.7 else mutate(data, rng)
-
-
-def _words(name: str, rng: np.random.Generator, *, odd: bool) -> list[str]:
+def _words(name: str, rng: np.random.Generator) -> list[str]:
     base, options = COMMANDS[name]
     words = base.split()
-    for option in rng.choice(options, int(rng.integers(1, 3)) if odd else 0):
+    for option in rng.choice(options, int(rng.integers(1, 3))):
         words += [str(option), VALUES[int(rng.integers(len(VALUES)))]]
-    if odd and rng.random() < 0.2:
+    if rng.random() < 0.2:
         words[int(rng.integers(1, len(words)))] = VALUES[int(rng.integers(len(VALUES)))]
-    if odd and rng.random() < 0.1:
+    if rng.random() < 0.1:
         token = TOKENS[int(rng.integers(len(TOKENS)))].decode(errors="replace").replace("\x00", "")
         words[-1] = token.replace("{", "{{").replace("}", "}}")
     return words
 
 
 def fuzz_command(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
-    """Give n odd options and damaged files to a command; return what was found, counted."""
+    """Give odd options to a command n times; return what was found, counted."""
     rng = np.random.default_rng([seed, 1, zlib.crc32(name.encode())])
-    files = sample_files()
     folder = folder / "commands"
     found: Counter[str] = Counter()
     for _ in range(n):
         shutil.rmtree(folder, ignore_errors=True)
         places = write_samples(folder)
-        damage = rng.random() < DAMAGED_SHARE
-        words = [word.format(**places) for word in _words(name, rng, odd=not damage or rng.random() < 0.1)]
-        victim = ""
-        if damage:
-            said = " ".join(words) + " " + str(places["image"]) * (str(places["map"]) in words)
-            used = [key for key, place in places.items() if place.is_file() and _is_named(place, said)]
-            victim = used[int(rng.integers(len(used)))] if used else ""
-        kept = b""
-        if victim:
-            kept = _damaged(*files[victim], rng)
-            places[victim].write_bytes(kept)
+        words = [word.format(**places) for word in _words(name, rng)]
         wrong = judge(lambda words=words, out=places["out"]: _run(words, out), COMMAND_SECONDS)  # type: ignore[misc]
         if wrong:
-            line = f"{wrong}: {' '.join(words)}" + (f" ({victim} damaged)" if victim else "")
-            found[line.replace(str(folder), "")] += 1
-            if victim:
-                copy = folder.parent / "found" / f"{name}-{found.total()}-{places[victim].name}"
-                copy.parent.mkdir(exist_ok=True)
-                copy.write_bytes(kept)
+            found[f"{wrong}: {' '.join(words)}".replace(str(folder), "")] += 1
     shutil.rmtree(folder, ignore_errors=True)
     return found
-
-
-def _is_named(place: Path, said: str) -> bool:
-    """Tell whether a command is given a file, or the plan's folder that holds it."""
-    return str(place) in said or (place.parent.name == "plan" and f"{place.parent} " in said)
 
 
 def _run(words: list[str], folder: Path) -> None:

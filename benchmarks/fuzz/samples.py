@@ -14,9 +14,8 @@ import numpy as np
 import yaml
 
 import logs
-from benchmarks.fuzz.structure.bag1 import Style, bag20
 from benchmarks.fuzz.structure.draft import EPOCH, Draft, Item, vec7
-from benchmarks.fuzz.structure.writers import write_sqlite
+from benchmarks.fuzz.structure.writers import write_bag, write_file
 from logs.run import RangeSensor, Run
 from robotmodic_ident import Moments, Terms, fit, polynomial
 from sensorgraph.building.build import build
@@ -147,19 +146,20 @@ def items_of(contents: Contents, n: int = 12) -> list[Item]:
 @cache
 def small_bag() -> bytes:
     """Return a rosbag2 sqlite3 file of twelve small scans."""
-    items = items_of({"LaserScan": lambda _: LASER})
-    return bytes_of(".db3", lambda path: write_sqlite(path, Draft(items=items), items, schema=1))
+    draft = Draft(items=items_of({"LaserScan": lambda _: LASER}))
+    return bytes_of(".db3", lambda path: write_file(path, draft))
 
 
-def ros1_bag(contents: Contents, n: int = 12, packing: str = "none") -> bytes:
+def ros1_bag(contents: Contents, n: int = 12, packing: str = "") -> bytes:
     """Return a ROS 1 bag of n messages of each kind."""
-    return bag20(Draft(items=items_of(contents, n)), Style(compression=packing))
+    draft = Draft(items=items_of(contents, n))
+    return bytes_of(".bag", lambda path: write_bag(path, draft, compression=packing))
 
 
 def ros1_bags() -> tuple[bytes, ...]:
     """Return ROS 1 bags of scans and poses, plain and packed."""
     contents = {"LaserScan": lambda _: LASER, "PoseStamped": lambda i: {"pose": vec7(0.1 * i, 0.0, 0.0)}}
-    return tuple(ros1_bag(contents, packing=packing) for packing in ("none", "bz2", "lz4"))
+    return tuple(ros1_bag(contents, packing=packing) for packing in ("", "bz2", "lz4"))
 
 
 def interrupted_bags() -> tuple[bytes, ...]:

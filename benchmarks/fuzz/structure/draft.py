@@ -90,10 +90,6 @@ class Draft:
     definitions: dict[str, str] = field(default_factory=dict)
     """Kind -> definition of types that no typestore has."""
 
-    def of(self, *kinds: str) -> list[Item]:
-        """Return the messages of some types, in order."""
-        return [item for item in self.items if item.kind in kinds]
-
     def on(self, topic: str) -> list[Item]:
         """Return the messages of a topic."""
         return [item for item in self.items if item.topic == topic]
@@ -130,15 +126,6 @@ class Draft:
         """Add a message of static transforms (parent, child, value)."""
         self.add(Item("/tf_static", "TFMessage", 0.0, 0.0, "", {"transforms": [*edges]}))
 
-    def add_transform(self, t: float, edge: tuple[str, str, Floats]) -> None:
-        """Add a message with a transform at a time [s]."""
-        self.add(Item("/tf", "TFMessage", t, logged(t, self.rng), "", {"transforms": [edge]}))
-
-    def add_odometry(self, topic: str, t: float, pose: Floats, *, child: str) -> None:
-        """Add odometry at a time [s] whose twist is never filled in."""
-        content = {"pose": vec7(*pose), "twist": np.zeros(6), "child": child}
-        self.add(Item(topic, "Odometry", t, logged(t, self.rng), "odom", content))
-
     def state(self, poses: Floats) -> None:
         """Let the odometry and its transform state other poses (n, 3)."""
         for item, pose in zip(self.on("/odom"), poses, strict=True):
@@ -166,7 +153,7 @@ class Draft:
         self, change: Callable[[str, str, Floats], Iterable[tuple[str, str, Floats]]], *, child: str = ""
     ) -> None:
         """Replace each transform by others, or each of one child."""
-        for item in self.of("TFMessage"):
+        for item in [item for item in self.items if item.kind == "TFMessage"]:
             item.content["transforms"] = [
                 new
                 for edge in item.content["transforms"]

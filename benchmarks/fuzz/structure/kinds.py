@@ -3,54 +3,34 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.fuzz.structure.draft import Draft
-from benchmarks.fuzz.structure.kinds_clocks import CLOCKS
-from benchmarks.fuzz.structure.kinds_counts import COUNTS
-from benchmarks.fuzz.structure.kinds_frames import FRAMES
+from benchmarks.fuzz.structure.kinds_laser import RAYS, TYPES, UNITS
 from benchmarks.fuzz.structure.kinds_nodes import NODES
-from benchmarks.fuzz.structure.kinds_rays import RAYS
-from benchmarks.fuzz.structure.kinds_topics import TOPICS
-from benchmarks.fuzz.structure.kinds_types import TYPES
-from benchmarks.fuzz.structure.kinds_units import UNITS
-from benchmarks.fuzz.structure.start import LASERS, Kind, Start
-from benchmarks.fuzz.structure.writers import CONTAINERS
+from benchmarks.fuzz.structure.kinds_times import CLOCKS, COUNTS
+from benchmarks.fuzz.structure.kinds_topics import FRAMES, TOPICS
+from benchmarks.fuzz.structure.start import Kind, Start, kind
+from benchmarks.fuzz.structure.writers import CARMEN_LASER, CONTAINERS, TEXTS
 
-UNREADABLE = ("bag_without_index",)
-"""Containers that `recover` reads, and the other commands refuse."""
-
-
-def _in(container: str) -> Callable[[Start], Draft]:
-    def make(start: Start) -> Draft:
-        if not container.startswith("carmen"):
-            draft = start.draft()
-            draft.usable = container not in UNREADABLE
-        else:
-            draft = start.draft(replace(LASERS[4], n=start.pick((180, 181))), reference=0.0)
-            if "alone" in container or "raw" in container:
-                draft.expects = set()
-                draft.gauges |= {"lever", "yaw"}
-        draft.container = container
-        return draft
-
-    return make
-
-
-KINDS: dict[str, Kind] = {
-    "nothing": lambda start: start.draft(),
-    **{f"topics.{name}": kind for name, kind in TOPICS.items()},
-    **{f"frames.{name}": kind for name, kind in FRAMES.items()},
-    **{f"clocks.{name}": kind for name, kind in CLOCKS.items()},
-    **{f"units.{name}": kind for name, kind in UNITS.items()},
-    **{f"counts.{name}": kind for name, kind in COUNTS.items()},
-    **{f"types.{name}": kind for name, kind in TYPES.items()},
-    **{f"rays.{name}": kind for name, kind in RAYS.items()},
-    **{f"containers.{name}": _in(name) for name in CONTAINERS},
-    **{f"nodes.{name}": kind for name, kind in NODES.items()},
+GROUPS: dict[str, dict[str, Kind]] = {
+    "topics": TOPICS,
+    "frames": FRAMES,
+    "clocks": CLOCKS,
+    "units": UNITS,
+    "counts": COUNTS,
+    "types": TYPES,
+    "rays": RAYS,
+    "containers": {name: kind(containers=(name,)) for name in CONTAINERS if name not in TEXTS}
+    | {
+        name: kind(containers=(name,), laser=CARMEN_LASER, reference=0.0, **facts)
+        for name, facts in TEXTS.items()
+    },
+    "nodes": NODES,
+}
+KINDS = {"nothing": kind()} | {
+    f"{group}.{name}": one for group, kinds in GROUPS.items() for name, one in kinds.items()
 }
 """Name -> what makes one log of it."""
 

@@ -13,28 +13,17 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.fuzz.structure.draft import EPOCH, Item
 
-PACKAGES = {
-    "sensor_msgs": ("LaserScan", "MultiEchoLaserScan", "PointCloud2", "Range", "Imu"),
-    "geometry_msgs": (
-        "PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Twist", "TwistStamped", "PointStamped",
-    ),
-    "nav_msgs": ("Odometry", "OccupancyGrid", "Path"),
-    "tf2_msgs": ("TFMessage",),
-    "std_msgs": ("String", "Float64"),
-}  # fmt: skip
 CODES = {"f4": 7, "f8": 8, "u1": 2, "u2": 4, "u4": 6, "i1": 1, "i2": 3, "i4": 5}
 """Numpy type -> datatype of a PointField."""
 UNITS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
 TIME, SEQ = "builtin_interfaces/msg/Time", "seq"
 
 
+@cache
 def full(kind: str, *, ros1: bool = False) -> str:
-    """Return the full name of a type; unknown kinds are full names already."""
-    package = next((name for name, kinds in PACKAGES.items() if kind in kinds), None)
-    name = kind if package is None else f"{package}/msg/{kind}"
-    if ros1:
-        name = name.replace("/msg/", "/")
-    return name
+    """Return the full name of a type; one that no typestore has is a full name already."""
+    name = next((name for name in _store(False).types if name.endswith(f"/{kind}")), kind)
+    return name.replace("/msg/", "/") if ros1 else name
 
 
 def nanoseconds(at: float) -> int:
@@ -79,7 +68,7 @@ VALUES: dict[str, Callable[[dict[str, Any]], list[Any]]] = {
     "OccupancyGrid": lambda c: [0.0, c["resolution"], *c["data"].shape[::-1], *c["origin"], c["data"].ravel()],
     "Path": lambda c: [[[0.0, "map", *pose] for pose in c["poses"]]],
     "TransformStamped": lambda c: [c["child"], *c["pose"]],
-    "PoseStamped": _columns("pose"), "TwistStamped": _columns("twist"), "PointStamped": _columns("point"),
+    "PoseStamped": _columns("pose"), "TwistStamped": _columns("twist"),
     "PoseWithCovarianceStamped": lambda c: [*c["pose"], c["covariance"]],
 }  # fmt: skip
 """Kinds with a header -> the values of the fields that follow it, nested ones in their order."""
@@ -90,7 +79,7 @@ def _values(item: Item) -> list[Any]:
     c = item.content
     if item.kind == "TFMessage":
         return [[[item.stamp, parent, child, *value] for parent, child, value in c["transforms"]]]
-    if item.kind in ("Twist", "String", "Float64"):
+    if item.kind in ("Twist", "String"):
         return list(c["twist"]) if item.kind == "Twist" else list(c.values())
     return [item.stamp, item.frame, *VALUES[item.kind](c)]
 
