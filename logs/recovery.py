@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from mmap import mmap
 from pathlib import Path
 
+from mcap.records import Channel
+
 from logs.errors import LogError
 from logs.files import atomic_file
 from logs.formats import rosbag1
@@ -13,7 +15,7 @@ from logs.formats.bag_fields import check_bag
 from logs.formats.bag_records import BagWalk
 from logs.formats.collecting import WalkOf, open_bytes, walked
 from logs.formats.mcap_file import CHUNK_SIZE
-from logs.mcap.records import MAGIC, Channel, Contents, Loss
+from logs.mcap.records import MAGIC, Contents, Loss
 from logs.mcap.walk import RecordWalk
 from logs.ros.cdr import MESSAGE_FIELDS
 from logs.ros.definitions import QUALITY, definition, quality
@@ -157,7 +159,7 @@ def _read_contents(data: bytes | mmap, walk_of: WalkOf) -> Contents:
         pass
     known = walk.contents
     if losses:
-        if any(channel.encoding == "cdr" for channel in known.channels.values()):
+        if any(channel.message_encoding == "cdr" for channel in known.channels.values()):
             known.profile = "ros2"
         for key, schema in known.schemas.items():
             if schema.name in MESSAGE_FIELDS and schema.encoding == "ros2msg":
@@ -244,7 +246,9 @@ class _RecoveredFile:
                 self._register(key, channel, schemas[channel.schema_id])
 
     def _register(self, key: int, channel: Channel, schema: int) -> None:
-        made = self._writer.register_channel(channel.topic, channel.encoding, schema, channel.metadata)
+        made = self._writer.register_channel(
+            channel.topic, channel.message_encoding, schema, channel.metadata
+        )
         self._channels[key], self._topics[made] = made, channel.topic
         self.written.setdefault(channel.topic, 0)
 

@@ -168,7 +168,7 @@ class McapStream:
                 times[channel] = census
             if channel in times:
                 times[channel].add(log_time, payload)
-            encoding = contents.channels[channel].encoding if channel in shapes else ""
+            encoding = contents.channels[channel].message_encoding if channel in shapes else ""
             if channel in shapes:
                 count_shape(shapes[channel], payload, encoding)
             is_sample = counts[channel] % SAMPLE_EVERY == 0 and _is_moving_transform(contents, channel)
@@ -256,7 +256,7 @@ class _Window:
         for key, channel in contents.channels.items():
             kind = type_of(contents, key)
             if (
-                channel.encoding in ENCODINGS
+                channel.message_encoding in ENCODINGS
                 and kind in KEPT_TYPES
                 and (kind not in (SCAN_TYPE, RANGE_TYPE) or channel.topic == scan_topic)
             ):
@@ -330,7 +330,7 @@ def _skeleton(contents: Contents) -> Recording:
     describe(recording, contents)
     for key, channel in contents.channels.items():
         kind = type_of(contents, key)
-        recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
+        recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.message_encoding))
     return recording
 
 

@@ -10,6 +10,8 @@ import struct
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from mcap.records import Channel, Schema
+
 from logs.formats.bag_fields import (
     BAG_HEADER,
     CHUNK,
@@ -31,7 +33,7 @@ from logs.formats.bag_fields import (
     text,
 )
 from logs.inflation import most_plain, unpack_start
-from logs.mcap.records import U4, Channel, Contents, DamagedRecord, Loss, Schema
+from logs.mcap.records import U4, Contents, DamagedRecord, Loss
 
 if TYPE_CHECKING:
     from logs.mcap.records import Data
@@ -165,10 +167,12 @@ class BagWalk:
             return
         kind = (text(about.get(b"type", b"")), about.get(b"message_definition", b""))
         schema = self._schemas.setdefault(kind, len(self._schemas) + 1)
-        self.contents.schemas[schema] = Schema(kind[0], "ros1msg", kind[1])
+        self.contents.schemas[schema] = Schema(id=schema, name=kind[0], encoding="ros1msg", data=kind[1])
         kept = (b"md5sum", b"callerid", b"latching")
         others = {text(name): text(about[name]) for name in kept if name in about}
-        self.contents.channels[key] = Channel(text(topic), schema, "ros1", others)
+        self.contents.channels[key] = Channel(
+            id=key, topic=text(topic), message_encoding="ros1", metadata=others, schema_id=schema
+        )
 
     def _chunk(self, fields: Header, body: int, end: int, pos: int) -> int:
         """Read a chunk; return the position of the next record."""

@@ -118,10 +118,10 @@ def messages_of(path: Path, topic: str, *, walk_of: WalkOf) -> Iterator[tuple[in
 def topic_of(recording: Recording, contents: Contents, key: int) -> Topic:
     """Return the topic of a channel; channels of one name and of different types are different topics."""
     channel, kind = contents.channels[key], type_of(contents, key)
-    topic = recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.encoding))
-    if topic.type != kind or topic.encoding != channel.encoding:
+    topic = recording.topics.setdefault(channel.topic, Topic(channel.topic, kind, channel.message_encoding))
+    if topic.type != kind or topic.encoding != channel.message_encoding:
         name = f"{channel.topic}#{key}"
-        topic = recording.topics.setdefault(name, Topic(name, kind, channel.encoding))
+        topic = recording.topics.setdefault(name, Topic(name, kind, channel.message_encoding))
     return topic
 
 

@@ -11,44 +11,32 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
 
 from logs.inflation import most_plain
 from logs.mcap.records import (
-    ATTACHMENT,
-    CHANNEL_RECORD,
-    CHUNK_HEAD,
-    CHUNK_RECORD,
-    DATA_END,
     FIXED_LENGTHS,
-    FOOTER,
-    HEADER_RECORD,
     MAGIC,
-    MESSAGE,
     MESSAGE_HEAD,
-    MESSAGE_INDEX,
-    METADATA,
     RECORD_HEAD,
-    SCHEMA,
-    STATISTICS,
     SUMMARY_ONLY,
-    U2,
     U4,
-    U8,
-    Channel,
     Contents,
     Cursor,
     DamagedRecord,
     Loss,
-    Schema,
-    chunk_fields,
+    attachment,
     inflate,
-    read_attachment,
+    parsed,
 )
 
 if TYPE_CHECKING:
     from logs.mcap.records import Data
 
 SEARCH_BLOCK = 1 << 20  # [bytes] searched at a time
+MESSAGE = int(Opcode.MESSAGE)  # compared with every record
+CHUNK_HEAD_SIZE = 28  # [bytes] times, size and checksum of the content
 
 
 MessageSink = Callable[[int, int, int, int, bytes | memoryview], None]
@@ -126,7 +114,7 @@ class RecordWalk:
             raise DamagedRecord("it is truncated inside a record")
         opcode, length = RECORD_HEAD.unpack_from(self.data, pos)
         end = pos + 9 + length
-        if not 1 <= opcode <= DATA_END and opcode < 0x80:
+        if not 1 <= opcode <= Opcode.DATA_END and opcode < 0x80:
             raise DamagedRecord(f"no record starts here (opcode {opcode:#04x})")
         if end > self.size:
             raise DamagedRecord(f"a record of {length} bytes runs past the end of the file")
@@ -137,48 +125,44 @@ class RecordWalk:
     def _record(self, opcode: int, body: int, end: int) -> None:
         if opcode in SUMMARY_ONLY and not self._in_summary:
             raise DamagedRecord(f"a record with opcode {opcode:#04x} is before the end of the data section")
-        cursor = Cursor(self.data, body, end)
         contents = self.contents
-        if opcode == CHUNK_RECORD:
-            self._chunk(cursor)
-        elif opcode in (SCHEMA, CHANNEL_RECORD, MESSAGE):
+        if opcode == Opcode.CHUNK:
+            self._chunk(parsed(records.Chunk, self.data, body, end))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, MESSAGE):
             self._has_chunks &= self._in_summary
             if opcode == MESSAGE and (
-                contents.n_chunks or Cursor(self.data, body, end).number(U2) not in contents.channels
+                contents.n_chunks or Cursor(self.data, body, end).read2() not in contents.channels
             ):
                 raise DamagedRecord("a message is outside the chunks, or before its channel")
             self._content(opcode, self.data, body, end)
-        elif opcode == MESSAGE_INDEX:
-            self._message_index(cursor)
-        elif opcode == HEADER_RECORD:
-            contents.profile, contents.library = cursor.text(), cursor.text()
-        elif opcode == ATTACHMENT:
-            contents.attachments.append(read_attachment(cursor))
-        elif opcode == METADATA:
-            name = cursor.text()
-            pairs = cursor.mapping()
-            cursor.finish()
-            contents.metadata.append((name, pairs))
-        elif opcode == STATISTICS:
-            contents.n_claimed = cursor.number(U8)
-        elif opcode == DATA_END:
-            crc = cursor.number(U4)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            self._message_index(Cursor(self.data, body, end))
+        elif opcode == Opcode.HEADER:
+            contents.profile = parsed(records.Header, self.data, body, end).profile
+        elif opcode == Opcode.ATTACHMENT:
+            contents.attachments.append(attachment(self.data, body, end))
+        elif opcode == Opcode.METADATA:
+            about = parsed(records.Metadata, self.data, body, end)
+            contents.metadata.append((about.name, about.metadata))
+        elif opcode == Opcode.STATISTICS:
+            contents.n_claimed = parsed(records.Statistics, self.data, body, end).message_count
+        elif opcode == Opcode.DATA_END:
+            crc = parsed(records.DataEnd, self.data, body, end).data_section_crc
             self._in_summary = True
             if crc and self._is_whole and crc != self._crc32(0, body - 9):
                 raise DamagedRecord("the data section does not match its checksum")
-        elif opcode == FOOTER:
-            self._footer(cursor, body)
-        if opcode != MESSAGE_INDEX:
+        elif opcode == Opcode.FOOTER:
+            self._footer(parsed(records.Footer, self.data, body, end), body)
+        if opcode != Opcode.MESSAGE_INDEX:
             self._after_bad_chunk = False
 
-    def _footer(self, cursor: Cursor, body: int) -> None:
+    def _footer(self, footer: records.Footer, body: int) -> None:
         if not self._in_summary:
             raise DamagedRecord("the data section has no end record")
-        summary_start, _, crc = cursor.number(U8), cursor.number(U8), cursor.number(U4)
-        start = summary_start or body - 9
-        if crc and self._is_whole and crc != self._crc32(start, body + 16):
+        start = footer.summary_start or body - 9
+        if footer.summary_crc and self._is_whole and footer.summary_crc != self._crc32(start, body + 16):
             raise DamagedRecord("the summary does not match its checksum")
-        if self.data[cursor.end : cursor.end + 8] != MAGIC:
+        if self.data[body + 20 : body + 28] != MAGIC:
             raise DamagedRecord("the file does not end with the MCAP magic")
         self.contents.is_finished = True
 
@@ -187,19 +171,18 @@ class RecordWalk:
             return zlib.crc32(part)
 
     def _message_index(self, cursor: Cursor) -> None:
-        channel = cursor.number(U2)
-        size = cursor.number(U4)
+        channel, size = cursor.read2(), cursor.read4()
         if size % 16 or size != cursor.end - cursor.pos:
             raise DamagedRecord("an index record has a wrong size")
         if self._after_bad_chunk:
             lost = self.contents.lost_messages
             lost[channel] = lost.get(channel, 0) + size // 16
 
-    def _chunk(self, cursor: Cursor) -> None:
-        size, crc, compression, data = chunk_fields(cursor)
+    def _chunk(self, chunk: records.Chunk) -> None:
+        size, crc = chunk.uncompressed_size, chunk.uncompressed_crc
         self.contents.n_chunks += 1
         try:
-            plain = inflate(compression, data, min(size, self._left))
+            plain = inflate(chunk.compression, chunk.data, min(size, self._left))
             self._left -= len(plain)
             if len(plain) != size:
                 raise DamagedRecord(f"a chunk holds {len(plain)} bytes, expected {size}")
@@ -234,33 +217,26 @@ class RecordWalk:
             self.contents.n_messages += 1
             channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(data, body)
             self.on_message(channel, sequence, log_time, publish_time, data[body + MESSAGE_HEAD.size : end])
-            return
-        cursor = Cursor(data, body, end)
-        if opcode == SCHEMA:
-            key = cursor.number(U2)
-            schema = Schema(cursor.text(), cursor.text(), cursor.take(cursor.number(U4)))
-            cursor.finish()
-            self.contents.schemas.setdefault(key, schema)
-        elif opcode == CHANNEL_RECORD:
-            key, schema_id = cursor.number(U2), cursor.number(U2)
-            channel = Channel(cursor.text(), schema_id, cursor.text(), cursor.mapping())
-            cursor.finish()
-            self.contents.channels.setdefault(key, channel)
+        elif opcode == Opcode.SCHEMA:
+            schema = parsed(records.Schema, data, body, end)
+            self.contents.schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            found = parsed(records.Channel, data, body, end)
+            self.contents.channels.setdefault(found.id, found)
 
     def _recover_open_chunk(self, pos: int) -> bool:
         """Read the complete records of a truncated last chunk; return whether there is such a chunk."""
-        if pos + 9 > self.size or self.data[pos] != CHUNK_RECORD:
+        if pos + 9 > self.size or self.data[pos] != Opcode.CHUNK:
             return False
         cursor = Cursor(self.data, pos + 9, self.size)
         try:
-            cursor.take(CHUNK_HEAD.size)
-            compression = cursor.text()
-            stored = cursor.number(U8)
-            if stored <= self.size - cursor.pos:
+            cursor.read(CHUNK_HEAD_SIZE)
+            compression = cursor.read_prefixed_string()
+            if cursor.read8() <= self.size - cursor.pos:
                 return False  # not truncated: its length is wrong
             rest = inflate(compression, self.data[cursor.pos : self.size], self._left)
             self._chunk_content(rest, complete=False)
-        except DamagedRecord:
+        except (DamagedRecord, UnicodeDecodeError):
             return True
         return True
 
@@ -269,7 +245,7 @@ class RecordWalk:
         while pos + 9 <= self.size:
             block = np.frombuffer(self.data[pos : pos + SEARCH_BLOCK + 8], dtype=np.uint8)
             n = len(block) - 8
-            likely = (block[:n] >= 1) & (block[:n] <= DATA_END)
+            likely = (block[:n] >= 1) & (block[:n] <= Opcode.DATA_END)
             for i in range(5, 9):  # no record is above 4 GiB
                 likely &= block[i : n + i] == 0
             for offset in np.flatnonzero(likely).tolist():
@@ -282,24 +258,23 @@ class RecordWalk:
         """Return whether the record at pos is complete and followed by another complete record."""
         try:
             opcode, body, end = self._frame(pos)
-            cursor = Cursor(self.data, body, end)
-            if opcode == CHUNK_RECORD:
-                chunk_fields(cursor)
+            if opcode == Opcode.CHUNK:
+                parsed(records.Chunk, self.data, body, end)
                 return True
-            if opcode == ATTACHMENT:
-                read_attachment(cursor)
+            if opcode == Opcode.ATTACHMENT:
+                attachment(self.data, body, end)
                 return True
-            if opcode == FOOTER:
+            if opcode == Opcode.FOOTER:
                 return bool(self.data[end:] == MAGIC)
             if opcode == MESSAGE:
                 # inside a chunk without framing, an apparent message may be part of compressed data
                 if (
                     self._has_chunks
                     or end - body < MESSAGE_HEAD.size
-                    or cursor.number(U2) not in self.contents.channels
+                    or Cursor(self.data, body, end).read2() not in self.contents.channels
                 ):
                     return False
-            elif opcode == MESSAGE_INDEX and end - body != 6 + U4.unpack_from(self.data, body + 2)[0]:
+            elif opcode == Opcode.MESSAGE_INDEX and end - body != 6 + U4.unpack_from(self.data, body + 2)[0]:
                 return False
         except (DamagedRecord, struct.error):
             return False
