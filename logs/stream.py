@@ -18,14 +18,13 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import format_of, read
-from logs.formats.collecting import damage_text, describe, type_of, walked
+from logs.formats.collecting import damage_text, describe, is_kept, type_of, walked
 from logs.formats.mcap_file import messages
 from logs.mcap.records import Contents, Loss
 from logs.mcap.walk import MessageSink, RecordWalk
 from logs.no_return import check_no_return
 from logs.notes import notes_of
 from logs.ros import interpret, own_record
-from logs.ros.cdr import Messages
 from logs.ros.laser_scan import ShapeCensus, count_shape
 from logs.ros.ray_stream import begin_elsewhere
 from logs.ros.recording import (
@@ -173,9 +172,7 @@ class McapStream:
                 count_shape(shapes[channel], payload, encoding)
             is_sample = counts[channel] % SAMPLE_EVERY == 0 and _is_moving_transform(contents, channel)
             if counts[channel] <= FIRST_MESSAGES or is_sample:
-                kept = look.setdefault(channel, Topic("", ""))
-                kept.log_times.append(log_time)
-                kept.payloads.append(payload)
+                look.setdefault(channel, Topic("", "")).add(log_time, payload)
 
         def refuse(loss: Loss) -> None:
             raise LogError(damage_text(path, loss))
@@ -186,9 +183,8 @@ class McapStream:
         for key, channel in contents.channels.items():
             topic = recording.topics[channel.topic]
             topic.n_messages += counts.get(key, 0)
-            if key in look and topic.type in KEPT_TYPES and topic.encoding in ENCODINGS:
-                topic.log_times += look[key].log_times
-                topic.payloads.take(look[key].payloads)
+            if key in look and is_kept(topic):
+                topic.take(replace(look[key], n_messages=0))
         census = {contents.channels[key].topic: found for key, found in shapes.items()}
         is_own = own_record.is_own(recording, topics)
         is_plain = is_own or can_be_read_in_pieces({
@@ -285,16 +281,11 @@ class _Window:
         taken = [self.scans.popleft() for _ in range(n)]
         while self.scans and self.scans[0][0] == taken[-1][0]:  # scans with one stamp are paired together
             taken.append(self.scans.popleft())
-        topic = recording.topics[self.scan_topic]
-        topic.log_times = [at for at, _ in taken]
-        topic.payloads = Messages(payload for _, payload in taken)
-        for name, at, payload in (*self.fixed, *self.others):
-            recording.topics[name].log_times.append(at)
-            recording.topics[name].payloads.append(payload)
+        scans = ((self.scan_topic, at, payload) for at, payload in taken)
+        for name, at, payload in (*scans, *self.fixed, *self.others):
+            recording.topics[name].add(at, payload)
         while self.others and self.others[0][1] < taken[-1][0] - MARGIN_NS:
             self.others.popleft()
-        for topic in recording.topics.values():
-            topic.n_messages = len(topic.log_times)
         return recording
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import mmap
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from logs.mcap.records import Contents, Loss
 from logs.mcap.walk import MessageSink
+from logs.ros.cdr import Messages
 from logs.ros.recording import ENCODINGS, KEPT_TYPES, Recording, Topic, full_type
 from logs.types import Progress
 
@@ -55,10 +57,7 @@ def collect(
             topic = topic_of(recording, contents, channel) if known else Topic("", "")
             found[channel] = topic, not known or is_kept(topic)
         topic, kept = found[channel]
-        topic.n_messages += 1
-        topic.log_times.append(log_time)
-        if kept:
-            topic.payloads.append(payload)
+        topic.add(log_time, payload if kept else None)
 
     walk = walk_of(data, take, on_damage)
     contents = (
@@ -73,10 +72,7 @@ def collect(
         topic = topic_of(recording, contents, key)
         early = found.get(key, (topic, True))[0]
         if early is not topic:
-            topic.n_messages += early.n_messages
-            topic.log_times += early.log_times
-            if is_kept(topic):
-                topic.payloads.take(early.payloads)
+            topic.take(early if is_kept(topic) else replace(early, payloads=Messages()))
         ordered |= {name: known for name, known in recording.topics.items() if known is topic}
     recording.topics = ordered
     describe(recording, contents)

@@ -315,7 +315,4 @@ def _merge(recording: Recording, more: Recording) -> None:
     recording.metadata |= more.metadata
     recording.notes += more.notes
     for name, topic in more.topics.items():
-        known = recording.topics.setdefault(name, Topic(name, topic.type, topic.encoding))
-        known.n_messages += topic.n_messages
-        known.log_times += topic.log_times
-        known.payloads.take(topic.payloads)
+        recording.topics.setdefault(name, Topic(name, topic.type, topic.encoding)).take(topic)

@@ -117,10 +117,6 @@ def _load(base: sqlite3.Connection, recording: Recording, progress: Progress | N
     for done, (key, stamp, data) in enumerate(base.execute(query, kept)):
         if key not in topics or not isinstance(stamp, int) or not isinstance(data, bytes | None):
             raise sqlite3.DatabaseError(f"message {done} has topic {key!r:.20} and time {stamp!r:.20}")
-        topic = topics[key]
-        topic.n_messages += 1
-        topic.log_times.append(stamp)
-        if key in kept_keys:
-            topic.payloads.append(data or b"")
+        topics[key].add(stamp, (data or b"") if key in kept_keys else None)
         if progress is not None and done % 512 == 0:
             progress(done, total)

@@ -33,18 +33,14 @@ class MessageWindow:
         while self._recent[0].received_ns < message.received_ns - self.duration * 1e9:
             self._recent.popleft()
 
-    def run(self, name: str, roles: Mapping[str, str]) -> Run | None:
-        """Return the messages as a run with a name; None if they contain no scan."""
+    def run(self, source: str, roles: Mapping[str, str]) -> Run | None:
+        """Return the messages as a run of a source; None if they contain no scan."""
         recording = Recording(format="mcap")
         for message in (*(m for kept in self._fixed.values() for m in kept), *self._recent):
-            topic = recording.topics.setdefault(
-                message.topic.name, Topic(message.topic.name, message.topic.type)
-            )
-            topic.n_messages += 1
-            topic.log_times.append(message.received_ns)
-            topic.payloads.append(message.payload)
+            name, kind = message.topic.name, message.topic.type
+            recording.topics.setdefault(name, Topic(name, kind)).add(message.received_ns, message.payload)
         try:
             with np.errstate(all="ignore"):
-                return to_run(recording, name, ReadOptions(topics=roles))
+                return to_run(recording, source, ReadOptions(topics=roles))
         except LogError:
             return None

@@ -170,7 +170,7 @@ class Messages:
     def __len__(self) -> int:
         return self._n
 
-    def append(self, message: bytes) -> None:
+    def append(self, message: bytes | memoryview) -> None:
         """Append a message."""
         size = len(message)
         if size not in self._buffers:

@@ -87,6 +87,19 @@ class Topic:
     stamps: Stamps | None = None
     """(n,) [ns] the times of the messages on the common clock of the log (`settle_clocks`); None: as in the headers."""
 
+    def add(self, log_time: int, payload: bytes | memoryview | None) -> None:
+        """Add a message; None: it is only counted."""
+        self.n_messages += 1
+        self.log_times.append(log_time)
+        if payload is not None:
+            self.payloads.append(payload)
+
+    def take(self, more: Topic) -> None:
+        """Move the messages of another part of the topic to the end, in order."""
+        self.n_messages += more.n_messages
+        self.log_times += more.log_times
+        self.payloads.take(more.payloads)
+
     @property
     def title(self) -> str:
         """The type, and the encoding of the messages if they are not those of ROS."""
