@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from logs.formats.mcap_file import RosFile
-from logs.ros.definitions import typestore
-from logs.ros.messages import map_message
+from logs.ros.definitions import header, message, serialized
+from logs.ros.messages import GRID_TYPE, map_message
+from logs.ros.recording import POSE_TYPE
 from logs.run import OccupancyMap
 from logs.types import Floats
 
-PATH_TYPE, GRID_TYPE = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
+PATH_TYPE = "nav_msgs/msg/Path"
 MAX_PATH_POSES = 5000
 """Maximum number of poses in the path message; viewers draw all of them."""
 
@@ -46,35 +47,24 @@ def write_plan(
     stamps : (n,) [s]
     poses : (n, 3) [m, m, rad] base_link in map
     """
-    store = typestore()
-    types = store.types
     with RosFile(Path(path)) as file:
         for topic, grid in (("/map", occupancy), ("/coverage", coverage)):
             if grid is not None:
                 at = np.array([epoch_ns], dtype=np.int64)
                 file.put(file.channel(topic, GRID_TYPE), epoch_ns, map_message(at, grid).tobytes())
         chosen = thin(poses)
-        message = types[PATH_TYPE](
-            header=_header(types, epoch_ns),
-            poses=[
-                types["geometry_msgs/msg/PoseStamped"](
-                    header=_header(types, epoch_ns + round(t * 1e9)), pose=_pose(types, *pose)
-                )
-                for t, pose in zip(stamps[chosen].tolist(), poses[chosen].tolist(), strict=True)
-            ],
-        )
-        file.put(file.channel("/plan", PATH_TYPE), epoch_ns, bytes(store.serialize_cdr(message, PATH_TYPE)))
+        places = [
+            message(POSE_TYPE, header=header(epoch_ns + round(t * 1e9)), pose=_pose(*pose))
+            for t, pose in zip(stamps[chosen].tolist(), poses[chosen].tolist(), strict=True)
+        ]
+        path_message = serialized(PATH_TYPE, header=header(epoch_ns), poses=places)
+        file.put(file.channel("/plan", PATH_TYPE), epoch_ns, path_message)
         for name, data in (attachments or {}).items():
             file.attach(name, data, epoch_ns)
 
 
-def _header(types: Mapping[str, Any], ns: int) -> Any:
-    time = types["builtin_interfaces/msg/Time"](sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
-    return types["std_msgs/msg/Header"](stamp=time, frame_id="map")
-
-
-def _pose(types: Mapping[str, Any], x: float, y: float, phi: float) -> Any:
-    return types["geometry_msgs/msg/Pose"](
-        position=types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=np.sin(phi / 2), w=np.cos(phi / 2)),
+def _pose(x: float, y: float, phi: float) -> Any:
+    turn = message("geometry_msgs/msg/Quaternion", z=np.sin(phi / 2), w=np.cos(phi / 2))
+    return message(
+        "geometry_msgs/msg/Pose", position=message("geometry_msgs/msg/Point", x=x, y=y), orientation=turn
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -27,6 +29,35 @@ def definition(msgtype: str) -> bytes:
     return text.encode()
 
 
+def message(msgtype: str, **values: Any) -> Any:
+    """Return a message; a field that is not given is 0, empty, or such a message."""
+    from rosbags.interfaces import Nodetype
+
+    def default(kind: Any, of: Any) -> Any:
+        if kind == Nodetype.NAME:
+            return message(of)
+        if kind == Nodetype.BASE:
+            return "" if of[0] == "string" else np.dtype(of[0]).type(0).item()
+        ((inner, base), length) = of
+        return np.zeros(length, base[0]) if inner == Nodetype.BASE and base[0] != "string" else []
+
+    fields = typestore().fielddefs[msgtype][1]
+    made = {name: values[name] if name in values else default(*kind) for name, kind in fields}
+    return typestore().types[msgtype](**made)
+
+
+def header(ns: int) -> Any:
+    """Return the header of a message in map at a time [ns]."""
+    stamp = message(TIME_TYPE, sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
+    return message("std_msgs/msg/Header", stamp=stamp, frame_id="map")
+
+
+def serialized(msgtype: str, **values: Any) -> bytes:
+    """Return a message as CDR."""
+    return bytes(typestore().serialize_cdr(message(msgtype, **values), msgtype))
+
+
+TIME_TYPE = "builtin_interfaces/msg/Time"
 QUALITY = "offered_qos_profiles"
 """Key in the metadata of a channel."""
 
