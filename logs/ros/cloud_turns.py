@@ -60,9 +60,9 @@ class Grid:
         """[rad] between two bearings."""
         return tau / self.n
 
-    def angles(self, points: Points) -> Floats:
+    def angles(self, bearings: Floats) -> Floats:
         """Return the angles (n,) [rad] from the cut, in the direction of rotation."""
-        return np.asarray((self.sign * (points.bearings - self.cut)) % tau)
+        return np.asarray((self.sign * (bearings - self.cut)) % tau)
 
 
 @dataclass
@@ -183,27 +183,52 @@ class TurnScan(NamedTuple):
 class TurnScans:
     """Sort the points of clouds into turns, and turns into scans."""
 
-    def __init__(self, grid: Grid, fill: float) -> None:
-        self.grid, self.fill = grid, fill
+    def __init__(self, grid: Grid, fill: float, reach: float = 1.0) -> None:
+        """Begin without a turn.
+
+        Parameters
+        ----------
+        fill : [m] range of a measured bearing without a point near it
+        reach : [steps] distance from the first or last point at which a bearing beyond it takes this point
+        """
+        self.grid, self.fill, self.reach = grid, fill, reach
         self.centres: Floats = np.asarray((np.arange(grid.n) + 0.5) * grid.step, dtype=np.float64)
         self.scans: list[TurnScan] = []
         self._open: _Turn | None = None
 
     def add(self, points: Points, cloud: Cloud, logged: int) -> None:
         """Add the points of a cloud that are in the plane."""
-        stamp = cloud.stamp
-        grid, angles, ranges = self.grid, self.grid.angles(points), points.ranges
+        grid, angles, ranges = self.grid, self.grid.angles(points.bearings), points.ranges
         strengths = points.intensities if points.intensities is not None else np.full(len(angles), np.nan)
-        times, every = (_times(some, grid.unit, stamp) for some in (points, cloud.points))
+        times, every = (_times(some, grid.unit, cloud.stamp) for some in (points, cloud.points))
         if not grid.period:
             self.close()
             late = 0.0 if times is None or not len(times) else float(np.median(times))
             self._open = _Turn(
-                stamp + round(late * 1e9), logged, [angles], [ranges], [strengths], [(0.0, tau)]
+                cloud.stamp + round(late * 1e9), logged, [angles], [ranges], [strengths], [(0.0, tau)]
             )
-            return
-        if times is None or every is None or not len(times):
-            return
+        elif times is not None and every is not None and len(times):
+            self.add_rays(angles, ranges, strengths, times, (every.min(), every.max()), cloud.stamp, logged)
+
+    def add_rays(
+        self,
+        angles: Floats,
+        ranges: Floats,
+        strengths: Floats,
+        times: Floats,
+        span: tuple[float, float],
+        stamp: int,
+        logged: int,
+    ) -> None:
+        """Add rays of one message to the turns in which they were measured.
+
+        Parameters
+        ----------
+        angles, ranges, strengths, times : (n,) [rad] from the cut, [m], intensities, and [s] after the stamp
+        span : [s] first and last time of the message, also of rays without a return
+        stamp, logged : [ns] stamp and log time of the message
+        """
+        grid = self.grid
         phase = np.exp(1j * (tau * times / grid.period - angles)).mean()
         start = float(np.angle(phase)) * grid.period / tau
         number = np.rint((times - start) / grid.period - angles / tau)
@@ -216,7 +241,7 @@ class TurnScans:
             self._open.angles.append(angles[mine])
             self._open.ranges.append(ranges[mine])
             self._open.intensities.append(strengths[mine])
-            first, last = (tau * (t - begin) / grid.period for t in (every.min(), every.max()))
+            first, last = (tau * (t - begin) / grid.period for t in span)
             self._open.seen.append((max(first - grid.step, 0.0), min(last + grid.step, tau)))
 
     def drop_incomplete(self) -> int:
@@ -231,7 +256,7 @@ class TurnScans:
         turn, self._open = self._open, None
         if turn is None:
             return
-        ranges, intensities = _row(turn, self.centres, self.grid.step, fill=self.fill)
+        ranges, intensities = _row(turn, self.centres, self.grid.step, fill=self.fill, reach=self.reach)
         share = sum(stop - start for start, stop in turn.seen) / tau
         self.scans.append(
             TurnScan(
@@ -251,10 +276,10 @@ def _times(points: Points, unit: float, stamp: int) -> Floats | None:
     return after if abs(after[0]) < MAX_APART else times - times.min()
 
 
-def _row(turn: _Turn, centres: Floats, step: float, *, fill: float) -> tuple[Floats, Floats]:
+def _row(turn: _Turn, centres: Floats, step: float, *, fill: float, reach: float) -> tuple[Floats, Floats]:
     """Return ranges and intensities (n,) at the bearings of the scan.
 
-    Each bearing takes the nearest point within one step. Between two points of one surface, the inverse range is
+    Each bearing takes the nearest point within half a step, or `reach` steps beyond the ends. Between two points of one surface, the inverse range is
     interpolated. A measured bearing without a point near it has the range `fill`, one that was not measured nan.
     """
     q, r, strength = (np.concatenate(part) for part in (turn.angles, turn.ranges, turn.intensities))
@@ -279,6 +304,6 @@ def _row(turn: _Turn, centres: Floats, step: float, *, fill: float) -> tuple[Flo
     a, b, share = r[left], r[right], (centres - q[left]) / np.where(gap > 0, gap, 1.0)
     smooth = is_joined & (np.abs(a - b) <= STEEPEST * gap * np.minimum(a, b))
     along = 1.0 / ((1 - share) / a + share / b)
-    there = is_joined | (away <= np.where(inside, 0.5, 1.0) * step)
+    there = is_joined | (away <= np.where(inside, 0.5, reach) * step)
     out = np.where(there, np.where(smooth, along, r[near]), out)
     return out, np.where(there, strength[near], np.nan)

@@ -110,7 +110,7 @@ def scans_of_clouds(
     if n_others:
         notes.append(f"{name}: {n_others} clouds in another frame than {frame} were left out")
     flat = frame if level.pose is None else f"{frame} (level)"
-    found = _messages(topic, scans, flat)
+    found = turn_messages(topic, scans, flat)
     if level.pose is None:
         return {name: found}, notes
     middle = level.height if heights is None else sum(heights) / 2
@@ -156,13 +156,21 @@ def _plane(clouds: Sequence[Cloud], level: _Level, heights: tuple[float, float] 
     return Plane(heights=(low - level.height, high - level.height), text=text, is_slice=True)
 
 
-def _messages(topic: Topic, scans: TurnScans, frame: str) -> Topic:
-    """Return scans as LaserScan messages; directions at the ends that are never measured are left out."""
+def turn_messages(
+    topic: Topic, scans: TurnScans, frame: str, range_limits: tuple[float, float] | None = None
+) -> Topic:
+    """Return scans as LaserScan messages; directions at the ends that are never measured are left out.
+
+    Parameters
+    ----------
+    range_limits : [m] lowest and highest range; None: 0 and the largest range
+    """
     grid = scans.grid
     ranges, intensities = (
         np.stack([getattr(scan, name) for scan in scans.scans]) for name in ("ranges", "intensities")
     )
-    hit = np.flatnonzero(np.isfinite(ranges).any(axis=0))
+    low, high = range_limits or (0.0, float(ranges[np.isfinite(ranges)].max()))
+    hit = np.flatnonzero((np.isfinite(ranges) if range_limits is None else ~np.isnan(ranges)).any(axis=0))
     some = slice(int(hit[0]), int(hit[-1]) + 1)
     delay = grid.period / grid.n
     ns = np.array([scan.start for scan in scans.scans], dtype=np.int64) + round(
@@ -171,8 +179,7 @@ def _messages(topic: Topic, scans: TurnScans, frame: str) -> Topic:
     first = grid.cut + grid.sign * float(scans.centres[some.start])
     width = grid.sign * grid.step * (some.stop - 1 - some.start)
     first -= tau * np.floor((first + width / 2) / tau + 0.5)  # the middle is between -pi and pi
-    top = float(ranges[np.isfinite(ranges)].max())
-    limits = np.array([first, first + width, grid.sign * grid.step, delay, grid.period, 0.0, top])
+    limits = np.array([first, first + width, grid.sign * grid.step, delay, grid.period, low, high])
     logged = [scan.logged for scan in scans.scans]
     return scan_topic(topic, ns, logged, frame, limits, ranges[:, some], intensities[:, some])
 

@@ -1,13 +1,8 @@
 """Cut the rays of a rotating laser into full turns, if its scans begin at another bearing each time.
 
-Some drivers send a scan whenever they have a number of rays, or one sector after the other. Ray i of scan k is measured
-at the angle u and the time t
-
-    u = U_k + i s,    t = t_k + i s / w.
-
-Here U_k is the angle of the first ray, unwrapped over the turns, s the step of the bearings, and w the rate of
-rotation, which the stamps t_k of successive scans show. A turn m holds the rays with 2 pi m <= u < 2 pi (m + 1).
-Then each ray has the same bearing, and the same time after its stamp, in all scans.
+Some drivers send a scan whenever they have a number of rays, or one sector after the other. The rate of rotation, which the
+stamps of successive scans show, gives each ray its time, so that they are sorted into turns as the points of clouds are
+(`cloud_turns`). Then each ray has the same bearing, and the same time after its stamp, in all scans.
 """
 
 from __future__ import annotations
@@ -18,11 +13,10 @@ from math import tau
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.resampling import SAME_BEARING, resample, take_nearest
 from logs.ros import cdr
-from logs.ros.cloud_turns import MIN_WHOLE
+from logs.ros.cloud_turns import Grid, TurnScans
 from logs.ros.laser_scan import ShapeCensus
-from logs.ros.messages import scan_topic
+from logs.ros.point_cloud import turn_messages
 from logs.ros.recording import Topic, logged_times
 from logs.transforms import wrap
 from logs.types import Floats
@@ -89,12 +83,26 @@ def full_turns(topic: Topic) -> tuple[Topic, list[str]]:
         return topic, []
     advance, seconds = n_rays[:-1] * step + after, np.diff(stream.stamps) / 1e9
     rate = float(np.median(advance[follows] / seconds[follows]))  # [rad/s]
-    missed = np.rint((rate * seconds - advance) / tau)
-    advance += tau * np.where(follows, 0, np.maximum(missed, np.where(advance < 0, 1, 0)))
     n = round(tau / step)
-    first = _first_bearing(stream.lows, n, sign)
-    begins = sign * (stream.lows[0] - first) % tau + np.concatenate([[0.0], np.cumsum(advance)])
-    return _cut(topic, stream, begins, rate, first, n)
+    phase = float(np.angle(np.exp(1j * n * stream.lows).mean())) / n
+    first = phase + sign * tau / n * np.ceil((-np.pi - sign * phase) * n / tau - 1e-3)  # it looks backwards
+    grid = Grid(n, float(first - sign * np.pi / n), int(sign), tau / rate, 1.0)
+    turns = TurnScans(grid, np.nan, reach=0.5)
+    for k, row in enumerate(stream.ranges):
+        along, strengths = np.arange(len(row), dtype=np.float64), stream.intensities[k]
+        times = along * step / rate
+        turns.add_rays(
+            grid.angles(stream.lows[k] + stream.step * along), row,
+            strengths if len(strengths) == len(row) else np.full(len(row), np.nan),
+            times, (0.0, float(times[-1])), int(stream.stamps[k]), int(stream.logged[k]),
+        )  # fmt: skip
+    turns.close()
+    n_dropped = turns.drop_incomplete()
+    low, high = stream.limits[5:].tolist()
+    return turn_messages(topic, turns, stream.frame, (low, high)), [
+        f"{topic.name}: scans begin where the last one ended, so their rays were cut into {len(turns.scans)} full turns "
+        f"of {grid.period:.4g} s ({n_dropped} incomplete turns were left out)"
+    ]
 
 
 def _stream(topic: Topic) -> _Stream | None:
@@ -126,66 +134,3 @@ def _stream(topic: Topic) -> _Stream | None:
         [ranges[i] for i in order], [intensities[i] for i in order], limits[order[0]],
         blocks[0].strings["frame_id"],
     )  # fmt: skip
-
-
-def _first_bearing(lows: Floats, n: int, sign: float) -> float:
-    """Return the first bearing [rad] of a turn that begins behind the laser, in phase with the rays."""
-    phase = float(np.angle(np.exp(1j * n * lows).mean())) / n
-    return phase + sign * tau / n * float(np.ceil((-np.pi - sign * phase) * n / tau - 1e-3))
-
-
-def _cut(
-    topic: Topic, stream: _Stream, begins: Floats, rate: float, first: float, n: int
-) -> tuple[Topic, list[str]]:
-    """Return the messages of the full turns.
-
-    Parameters
-    ----------
-    begins : (n_scans,) [rad] angle of the first ray of each scan, from bearing `first` in the direction of rotation
-    rate : [rad/s] of the rotation
-    n : number of bearings in a turn
-    """
-    n_rays = np.array([len(part) for part in stream.ranges])
-    scan = np.repeat(np.arange(len(begins)), n_rays)
-    along = (np.arange(len(scan)) - np.repeat(np.cumsum(n_rays) - n_rays, n_rays)) * abs(stream.step)
-    angles = begins[scan] + along
-    turn = np.floor(angles / tau + 0.5 / n).astype(np.int64)
-    angles -= tau * turn
-    ranges = np.concatenate(stream.ranges)
-    strengths = [
-        part if len(part) == m else np.full(m, np.nan)
-        for part, m in zip(stream.intensities, n_rays, strict=True)
-    ]
-    intensities = np.concatenate(strengths)
-    wanted = np.arange(n) * tau / n
-    order = np.lexsort((angles, turn))
-    rows, shares = [], []
-    for mine in np.split(order, np.flatnonzero(np.diff(turn[order])) + 1):
-        kept = mine[np.diff(angles[mine], prepend=-np.inf) > 0.5 * abs(stream.step)]
-        at, early = angles[kept], kept[0]
-        beside = np.clip(np.searchsorted(at, wanted)[:, None] + [-1, 0], 0, len(at) - 1)
-        away = np.abs(wrap(wanted[:, None] - at[beside])).min(axis=1)
-        is_measured = away < (1 - SAME_BEARING) * abs(stream.step)
-        stamp = stream.stamps[scan[early]] + round((along[early] - angles[early]) / rate * 1e9)
-        rows.append(
-            (
-                stamp,
-                int(stream.logged[scan[kept]].max()),
-                np.where(is_measured, resample(ranges[kept][None], at, wanted)[0], np.nan),
-                take_nearest(intensities[kept][None], at, wanted)[0],
-            )
-        )
-        shares.append(is_measured.mean())
-    whole = np.array(shares) >= MIN_WHOLE * np.median(shares)
-    stamps, logged, taken, strong = zip(
-        *(row for row, is_whole in zip(rows, whole, strict=True) if is_whole), strict=True
-    )
-    sign = np.sign(stream.step)
-    limits = stream.limits.copy()
-    limits[:5] = first, first + sign * wanted[-1], sign * tau / n, tau / n / rate, tau / rate
-    note = (
-        f"{topic.name}: scans begin where the last one ended, so their rays were cut into {len(stamps)} full turns "
-        f"of {tau / rate:.4g} s ({len(rows) - len(stamps)} incomplete turns were left out)"
-    )
-    cut = scan_topic(topic, np.array(stamps), logged, stream.frame, limits, np.stack(taken), np.stack(strong))
-    return cut, [note]
