@@ -87,43 +87,28 @@ def _silence(topic: TopicInfo, end: float) -> tuple[float, str]:
 
 
 def _of_topic(topic: TopicInfo, limits: Mapping[str, Any], end: float) -> list[TopicDeviation]:
-    out = []
-    if topic.type != limits["type"]:
-        out.append(
-            TopicDeviation(level="error", text=f"{topic.name} is {topic.type}, expected {limits['type']}")
-        )
-    for level in ("error", "warning"):
-        if "rate_hz" in limits and (topic.rate or 0.0) < limits["rate_hz"][level]:
-            rate = limits["rate_hz"][level]
-            out.append(
-                TopicDeviation(
-                    level=level, text=f"{topic.name} has {topic.rate or 0:.2f} Hz, expected {rate:g} Hz"
-                )
-            )
-            break
-    for level in ("error", "warning"):
-        if "gap_s" in limits and (topic.longest_gap or 0.0) > limits["gap_s"][level]:
-            gap = limits["gap_s"][level]
-            out.append(
-                TopicDeviation(
-                    level=level,
-                    text=f"{topic.name} has a gap of {topic.longest_gap:.2f} s, expected at most {gap:g} s",
-                )
-            )
-            break
-    silent, side = _silence(topic, end)
-    for level in ("error", "warning"):
-        if "silent_s" in limits and silent > limits["silent_s"][level]:
-            text = f"{topic.name} is silent for {silent:.2f} s at the {side} of the log"
-            out.append(
-                TopicDeviation(level=level, text=f"{text}, expected at most {limits['silent_s'][level]:g} s")
-            )
-            break
+    rate, gap, (silent, side) = topic.rate or 0.0, topic.longest_gap or 0.0, _silence(topic, end)
+    name, at_most = topic.name, "expected at most"
+    said = (
+        [("error", f"{name} is {topic.type}, expected {limits['type']}")]
+        if topic.type != limits["type"]
+        else []
+    )
+    for key, value, sign, text, unit in (
+        ("rate_hz", rate, -1, f"{name} has {rate:.2f} Hz, expected", "Hz"),
+        ("gap_s", gap, 1, f"{name} has a gap of {gap:.2f} s, {at_most}", "s"),
+        (
+            "silent_s",
+            silent,
+            1,
+            f"{name} is silent for {silent:.2f} s at the {side} of the log, {at_most}",
+            "s",
+        ),
+    ):
+        for level in ("error", "warning") if key in limits else ():
+            if sign * (value - limits[key][level]) > 0:
+                said.append((level, f"{text} {limits[key][level]:g} {unit}"))
+                break
     if topic.n_back > limits["n_back"]:
-        out.append(
-            TopicDeviation(
-                level="error",
-                text=f"{topic.name}: stamps go back {topic.n_back} times, expected at most {limits['n_back']}",
-            )
-        )
-    return out
+        said.append(("error", f"{name}: stamps go back {topic.n_back} times, {at_most} {limits['n_back']}"))
+    return [TopicDeviation(level=level, text=text) for level, text in said]

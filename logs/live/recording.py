@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from itertools import pairwise
@@ -110,7 +110,7 @@ class LiveScans:
         self, network: RosNetwork, *, topics: Mapping[str, str] | None = None, window: float = SCAN_WINDOW
     ) -> None:
         check_roles(topics)
-        self.network, self.roles = network, dict(topics or {})
+        self.network, self.roles, self.source = network, dict(topics or {}), "live"
         self.rates: dict[str, TopicRate] = {}
         """Topic -> statistics of its messages."""
         self._window = MessageWindow(window)
@@ -150,7 +150,7 @@ class LiveScans:
 
     def recent(self) -> Run | None:
         """Return the latest seconds as a run; None if they contain no scan."""
-        return self._window.run("live", self.roles)
+        return self._window.run(self.source, self.roles)
 
     def _take(self, item: LiveMessage | PublishedTopic | None) -> None:
         """Subscribe to an announced topic, or count and keep a received message."""
@@ -190,7 +190,7 @@ class LiveRecording(LiveScans):
         attachments: Mapping[str, bytes] | None = None,
     ) -> None:
         super().__init__(network, topics=topics, window=POSE_WINDOW)
-        self.path = path
+        self.path, self.source = path, path.name
         self.notes: list[str] = []
         """Notes on omitted data, one line each."""
         self.outages: list[Outage] = []
@@ -237,10 +237,6 @@ class LiveRecording(LiveScans):
                 self._look_for_router()
             self._take(self.network.next(min(until, now + LOOK_EVERY)))
 
-    def recent(self) -> Run | None:
-        """Return the latest seconds as a run, interpreted like the file; None if they contain no scan."""
-        return self._window.run(self.path.name, self.roles)
-
     def close(self) -> Path:
         """Write the queued messages, and give the file its final name.
 
@@ -250,8 +246,8 @@ class LiveRecording(LiveScans):
             If no scan was received; the file is then removed.
         """
         self.network.close()
-        for message in self._waiting():
-            self._take(message)
+        while (item := self.network.next(0.0)) is not None:
+            self._take(item)
         if self.n_scans == 0:
             self._file.abandon()
             names = ", ".join(name for name, rate in self.rates.items() if rate.n_messages) or "no topic"
@@ -279,10 +275,6 @@ class LiveRecording(LiveScans):
                 self.outages[-1].ended = time.time()
         elif not is_away:
             self.outages.append(Outage(began=time.time()))
-
-    def _waiting(self) -> Iterator[LiveMessage | PublishedTopic]:
-        while (item := self.network.next(0.0)) is not None:
-            yield item
 
     def _missing(self) -> list[str]:
         topics = self.network.topics

@@ -226,18 +226,15 @@ def _sensor_scans(
         own = np.concatenate(group.index)
         if abs(later) <= period:
             stamps[own] += np.where(stamps[own] != 0, round(later), 0)
-    ranges = np.concatenate([
-        np.concatenate(group.ranges)
-        if shape == most
-        else resample(np.concatenate(group.ranges), group.bearings(), bearings)
-        for shape, group in groups.items()
-    ])  # fmt: skip
-    intensities = np.concatenate([
-        np.concatenate(group.intensities)
-        if shape == most
-        else take_nearest(np.concatenate(group.intensities), group.bearings(), bearings)
-        for shape, group in groups.items()
-    ])  # fmt: skip
+    ranges, intensities = (
+        np.concatenate([
+            np.concatenate(getattr(group, name))
+            if shape == most
+            else fitted(np.concatenate(getattr(group, name)), group.bearings(), bearings)
+            for shape, group in groups.items()
+        ])
+        for name, fitted in (("ranges", resample), ("intensities", take_nearest))
+    )  # fmt: skip
     in_file = np.argsort(index)
     index = index[in_file]
     at, order, stamp_notes = sort_stamps(

@@ -16,7 +16,7 @@ Every number has an interval, from a bootstrap over segments of the run.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 
@@ -150,11 +150,8 @@ def compare_laser_models(
     draws = np.median(rows[drawn], axis=1)  # (n_draws, 2)
     low, high = np.percentile(draws, [2.5, 97.5], axis=0)
     is_better = np.percentile(np.median((rows[:, 1] - rows[:, 0])[drawn], axis=1), 97.5) < 0
-    found = [
-        BootstrapEstimate(value=float(np.median(rows[:, i])), low=float(low[i]), high=float(high[i]))
-        for i in (0, 1)
-    ]
-    return LaserModelChoice(name=LASER_MODELS[int(is_better)], default_error=found[0], product_error=found[1])
+    default, product = _named(LASER_MODELS, np.median(rows, axis=0), low, high).values()
+    return LaserModelChoice(name=LASER_MODELS[int(is_better)], default_error=default, product_error=product)
 
 
 def _beam_mixture(
@@ -243,10 +240,7 @@ def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:
         chosen = rng.integers(0, N_BLOCKS, N_BLOCKS)
         draws.append(_fit_alphas(np.concatenate([steps[block == k] for k in chosen])))
     low, high = np.percentile(draws, [2.5, 97.5], axis=0)
-    return {
-        name: BootstrapEstimate(value=float(estimate[i]), low=float(low[i]), high=float(high[i]))
-        for i, name in enumerate(MOTION_NAMES)
-    }
+    return _named(MOTION_NAMES, estimate, low, high)
 
 
 def _steps(run: Run) -> Floats:
@@ -311,11 +305,12 @@ def _with_intervals(
         axis=1
     )
     half = (np.percentile(means, 97.5, axis=0) - np.percentile(means, 2.5, axis=0)) / 2
+    return _named(names, np.array(estimate), np.maximum(estimate - half, 0.0), estimate + half)
+
+
+def _named(names: Sequence[str], values: Floats, low: Floats, high: Floats) -> dict[str, BootstrapEstimate]:
+    """Return values (n,) with the ends of their intervals (n,) by names."""
+    rows = np.column_stack([values, low, high]).tolist()
     return {
-        name: BootstrapEstimate(
-            value=float(estimate[i]),
-            low=max(float(estimate[i] - half[i]), 0.0),
-            high=float(estimate[i] + half[i]),
-        )
-        for i, name in enumerate(names)
+        name: BootstrapEstimate(value=v, low=a, high=b) for name, (v, a, b) in zip(names, rows, strict=True)
     }
