@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,6 @@ from logs.ros.recording import (
     SCAN_TYPE,
     TF_TYPE,
     TWIST_STAMPED_TYPE,
-    Topic,
 )
 from logs.run import OccupancyMap, RangeSensor
 from logs.transforms import Stamps, to_translation_quaternion
@@ -66,30 +63,6 @@ def scan_messages(
     if intensities is not None and len(intensities):
         columns["intensities"] = intensities
     return cdr.pack(SCAN_TYPE, len(ns), strings={"frame_id": "laser"}, columns=columns)
-
-
-def scan_topic(
-    topic: Topic,
-    stamps: Stamps,
-    logged: Sequence[int],
-    frame: str,
-    limits: Floats,
-    ranges: NDArray[Any],
-    intensities: NDArray[Any],
-) -> Topic:
-    """Return a topic whose messages are replaced by LaserScan messages (n,); stamps and log times in ns, 7 limits."""
-    known = {"intensities": intensities} if np.isfinite(intensities).any() else {}
-    columns = {**header(stamps), "limits": limits, "ranges": ranges, **known}
-    rows = cdr.pack(SCAN_TYPE, len(stamps), strings={"frame_id": frame}, columns=columns)
-    payloads = cdr.Messages(row.tobytes() for row in rows)
-    return replace(
-        topic,
-        type=SCAN_TYPE,
-        encoding="cdr",
-        payloads=payloads,
-        n_messages=len(stamps),
-        log_times=list(logged),
-    )
 
 
 def pose_messages(ns: Stamps, poses: Floats) -> cdr.Bytes:

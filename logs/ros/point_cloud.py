@@ -15,9 +15,9 @@ from logs.errors import LogError
 from logs.ros import cdr
 from logs.ros.cloud_points import MAX_ELEVATION, Cloud, Plane, decode, horizontal
 from logs.ros.cloud_turns import Grid, TurnScans, find_grid
-from logs.ros.messages import header, scan_topic
+from logs.ros.messages import header
 from logs.ros.poses import FIXED_FRAMES, FLOOR_FRAME, base_of
-from logs.ros.recording import TF_TYPE, Recording, Topic, transform_tree
+from logs.ros.recording import SCAN_TYPE, TF_TYPE, Recording, Topic, transform_tree
 from logs.ros.transform_tree import TransformTree, to_matrices
 from logs.transforms import to_translation_quaternion
 from logs.types import Floats
@@ -180,8 +180,14 @@ def turn_messages(
     width = grid.sign * grid.step * (some.stop - 1 - some.start)
     first -= tau * np.floor((first + width / 2) / tau + 0.5)  # the middle is between -pi and pi
     limits = np.array([first, first + width, grid.sign * grid.step, delay, grid.period, low, high])
-    logged = [scan.logged for scan in scans.scans]
-    return scan_topic(topic, ns, logged, frame, limits, ranges[:, some], intensities[:, some])
+    columns: dict[str, NDArray[Any]] = {**header(ns), "limits": limits, "ranges": ranges[:, some]}
+    if np.isfinite(intensities[:, some]).any():
+        columns["intensities"] = intensities[:, some]
+    rows = cdr.pack(SCAN_TYPE, len(ns), strings={"frame_id": frame}, columns=columns)
+    return Topic(
+        topic.name, SCAN_TYPE, n_messages=len(ns), log_times=[scan.logged for scan in scans.scans],
+        payloads=cdr.Messages(row.tobytes() for row in rows),
+    )  # fmt: skip
 
 
 def _times_note(name: str, grid: Grid, clouds: Sequence[Cloud]) -> str:
