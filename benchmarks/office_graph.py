@@ -23,6 +23,7 @@ from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.building.build import build
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.planning.survey import LaserSurvey
 from sensorgraph.planning.views import choose_views
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.wall_distance import WallDistance
@@ -83,7 +84,7 @@ def training(arena: Arena, n: int, rng: np.random.Generator, *, planned: bool) -
     if not planned:
         return somewhere(arena, n, rng)
     candidates = somewhere(arena, CANDIDATES_PER_VIEW * n, rng)
-    return candidates[choose_views(candidates, lambda poses: cast(arena, poses, SENSOR).ranges, SENSOR, n)]
+    return candidates[choose_views(candidates, LaserSurvey(arena, SENSOR), n)]
 
 
 def measure(arena: Arena, n: int, seed: int, *, planned: bool) -> GraphScore:

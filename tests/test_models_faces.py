@@ -18,6 +18,7 @@ from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.ray_march import FaceSet, bucket_grid, crossed_faces, new_march
+from sensorgraph.planning.survey import LaserSurvey
 from sensorgraph.planning.views import choose_views
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import arena_of
@@ -239,18 +240,15 @@ def test_chosen_views_show_more_surface_than_random_ones() -> None:
     arena, rng = room(BOX), np.random.default_rng(9)
     candidates = somewhere(arena, 300, rng)
 
-    def ideal(poses: Floats) -> Floats:
-        return cast(arena, poses, SENSOR).ranges
-
     n = 30
-    chosen = choose_views(candidates, ideal, SENSOR, n)
+    chosen = choose_views(candidates, LaserSurvey(arena, SENSOR), n)
     assert len(set(chosen.tolist())) == n
 
     def shown(poses: Floats) -> float:
         """Add up 1 + 1/2 + 1/3 ... of the hits in every 2 cm of surface."""
         theta = poses[:, 2, None] + SENSOR.bearings
         ways = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
-        ends = poses[:, None, :2] + ideal(poses)[..., None] * ways
+        ends = poses[:, None, :2] + cast(arena, poses, SENSOR).ranges[..., None] * ways
         _, hits = np.unique(np.floor(ends.reshape(-1, 2) / 0.02), axis=0, return_counts=True)
         return float(sum((1 / np.arange(1, h + 1)).sum() for h in hits))
 

@@ -1,4 +1,12 @@
-"""Space and surface observed so far, and the gain of another scan, for the order anytime."""
+"""Space and surface observed so far, and the gain of another scan, for views and the order anytime.
+
+The gain of a pose is the sum over its rays k of
+
+    weight_k (SPACE_WORTH min(unknown_k, 1) + hit_k / (1 + surface_k)).
+
+Here unknown_k [m] is the length of the ray in space that fewer than `MIN_RAYS` rays have crossed, and surface_k is
+the number of earlier hits on its surface cell.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +16,23 @@ import numpy as np
 
 from logs.run import RangeSensor
 from planners.arena import Arena
+from planners.kernel import kernel
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.planning.views import SPACE_CELL, SURFACE_CELL, gain_of_scan, uncertainty_of
+from sensorgraph.models.base import Prediction
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast, laser_poses
 
+SPACE_CELL = 0.05
+"""[m] Side of a cell of space."""
+SURFACE_CELL = 0.02
+"""[m] Side of a cell of surface."""
+MIN_RAYS = 3
+"""Number of rays through a cell of space after which it is known."""
+SPACE_WORTH = 2.0
+"""Gain per metre of unknown space on a ray, up to one metre."""
+MIN_RAY_WEIGHT = 0.02
+"""Minimum weight of an answered ray; an unanswered one has 1."""
 Worth = Callable[[Floats], Floats]
 """Poses (n, 3) of base_link -> weight of each ray (n, n_rays), 0 or more."""
 
@@ -37,7 +56,7 @@ class LaserSurvey:
         self._weights: dict[bytes, Floats] = {}
 
     def gain(self, poses: Floats) -> Floats:
-        """Return the gain (n,) of one scan at each pose (n, 3) [m, m, rad] (see `views.gain_of_scan`)."""
+        """Return the gain (n,) of one scan at each pose (n, 3) [m, m, rad]."""
         return self._scan(poses, self._weight(poses), False)
 
     def mark(self, poses: Floats) -> None:
@@ -94,3 +113,46 @@ def survey_of(arena: Arena, sensor: RangeSensor, graph: Sensorgraph | None = Non
         return uncertainty_of(known.predict(poses_for(known, "base_link", known.sensor.mount, poses)))
 
     return LaserSurvey(arena, known.sensor, worth)
+
+
+def uncertainty_of(prediction: Prediction) -> Floats:
+    """Return the weight (n_poses, n_rays) of each ray: 1 if unanswered, otherwise its probability of an error."""
+    return np.asarray(
+        np.where(prediction.answered, np.maximum(prediction.p_off, MIN_RAY_WEIGHT), 1.0), dtype=np.float64
+    )
+
+
+@kernel
+def gain_of_scan(
+    at: Floats,
+    cos: Floats,
+    sin: Floats,
+    ranges: Floats,
+    hit: Floats,
+    weight: Floats,
+    space: Floats,
+    surface: Floats,
+    mark: bool,
+) -> float:
+    """Return the gain of the scan at one pose; update space and surface if `mark`."""
+    total = 0.0
+    for k in range(len(ranges)):
+        steps = int(ranges[k] / SPACE_CELL)
+        unknown = 0.0
+        for m in range(steps):
+            s = (m + 0.5) * SPACE_CELL
+            i, j = int((at[0] + s * cos[k]) / SPACE_CELL), int((at[1] + s * sin[k]) / SPACE_CELL)
+            if space[i, j] < MIN_RAYS:
+                unknown += SPACE_CELL
+                if mark:
+                    space[i, j] += 1
+            if unknown >= 1.0 and not mark:
+                break
+        total += weight[k] * SPACE_WORTH * min(unknown, 1.0)
+        if hit[k]:
+            i = int((at[0] + ranges[k] * cos[k]) / SURFACE_CELL)
+            j = int((at[1] + ranges[k] * sin[k]) / SURFACE_CELL)
+            total += weight[k] / (1.0 + surface[i, j])
+            if mark and surface[i, j] < 65535:
+                surface[i, j] += 1
+    return total
