@@ -122,12 +122,6 @@ class Narmax:
         return np.sqrt(np.diagonal(self.covariance))[: len(self.terms)]
 
     @property
-    def denominator_stderr(self) -> Floats:
-        """(len(denominator),) standard error of denominator_theta."""
-        first = len(self.terms)
-        return np.sqrt(np.diagonal(self.covariance))[first : first + len(self.denominator)]
-
-    @property
     def noise_stderr(self) -> Floats:
         """(len(noise_terms),) standard error of noise_theta."""
         return np.sqrt(np.diagonal(self.covariance))[len(self.terms) + len(self.denominator) :]

@@ -74,7 +74,6 @@ def select(
     criterion: Criterion | None = None,
     err_tol: float = 1e-4,
     keep: Sequence[str] = (),
-    refine: bool = True,
     search: Search = "forward",
     folds: Sequence[Moments] = (),
 ) -> Selection:
@@ -87,7 +86,6 @@ def select(
         at most half as many terms as rows. `n_terms` keeps that number. `cv` minimises the error on held-out folds.
         `err_tol` stops when 1 - Σ ERR is below `err_tol`.
     keep : Names of terms selected first; with `1`, ERR counts the explained share beyond the mean.
-    refine : Whether to apply one step of iterative refinement to the coefficients.
     search : `forward` (greedy, by ERR), `restart` (greedy again from each term of the best model: iOFR), or
         `exchange` (exchange terms while this helps, at every size).
     folds : Moments of parts of the data, held out one at a time for criterion `cv`.
@@ -125,7 +123,7 @@ def select(
         kept[outputs], stop[outputs] = size, why
         err[outputs] = z**2 / np.where(power > 0, power, 1.0)[:, None]
         inverse[outputs] = T * (used[:, :, None] & used[:, None, :])
-        theta[outputs] = _coefficients(order[outputs], T, z, grams, cross, refine)
+        theta[outputs] = _coefficients(order[outputs], T, z, grams, cross)
         rss[outputs] = np.maximum(power - (z**2).sum(axis=1), 0.0)
         pivots = np.abs(np.diagonal(factor, axis1=1, axis2=2)) / _column_norms(factor)
         rcond[outputs] = np.where(used, pivots, 1.0).min(axis=1)
@@ -179,9 +177,7 @@ def _column_norms(factor: Floats) -> Floats:
     return np.asarray(np.sqrt((factor**2).sum(axis=1)), dtype=np.float64)
 
 
-def _coefficients(
-    order: NDArray[np.intp], T: Floats, z: Floats, grams: Floats, cross: Floats, refine: bool
-) -> Floats:
+def _coefficients(order: NDArray[np.intp], T: Floats, z: Floats, grams: Floats, cross: Floats) -> Floats:
     """Solve R theta = z, then refine once with the residual of the normal equations Φ'Φ theta = Φ'y."""
     n, m = len(order), cross.shape[0]
     rows, used = np.arange(n)[:, None], order >= 0
@@ -189,9 +185,8 @@ def _coefficients(
     short = np.where(used, np.matmul(T, z[:, :, None])[:, :, 0], 0.0)
     theta = np.zeros((n, m))
     np.add.at(theta, (rows, columns), short)
-    if refine:
-        product = theta @ grams[0] if len(grams) == 1 else np.matmul(grams, theta[:, :, None])[:, :, 0]
-        miss = np.where(used, np.take_along_axis(cross.T - product, columns, axis=1), 0.0)
-        step = np.matmul(T, np.matmul(T.transpose(0, 2, 1), miss[:, :, None]))[:, :, 0]
-        np.add.at(theta, (rows, columns), np.where(used, step, 0.0))
+    product = theta @ grams[0] if len(grams) == 1 else np.matmul(grams, theta[:, :, None])[:, :, 0]
+    miss = np.where(used, np.take_along_axis(cross.T - product, columns, axis=1), 0.0)
+    step = np.matmul(T, np.matmul(T.transpose(0, 2, 1), miss[:, :, None]))[:, :, 0]
+    np.add.at(theta, (rows, columns), np.where(used, step, 0.0))
     return theta
