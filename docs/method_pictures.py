@@ -65,7 +65,7 @@ def beam() -> Any:
         nodes = _nodes(axes, workspace, axes is near)
         x, y = workspace.places[chosen].T
         axes.plot(x, y, color=ALARM, lw=2.2, label="best sequence")
-        driven = max(round(settings.executed / max(primitives.units(0, workspace.sequence[:1]), 1)), 1)
+        driven = max(round(settings.executed * primitives.n_headings), 1)
         axes.plot(x[: driven + 1], y[: driven + 1], color=INK, lw=3.0, label="part that is driven")
         axes.plot(*workspace.places[0], "o", color=INK, ms=5)
         axes.set_aspect("equal")

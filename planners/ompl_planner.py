@@ -11,7 +11,7 @@ through every reachable bin (x, y, phi). Nothing else imports this module, and i
 which OMPL's Benchmark compares these planners and custom ones.
 
 OMPL 2.0.1 has three restrictions in Python. A planner must not override `getPlannerData`: its argument cannot
-be passed to Python, and the process ends. `graph` returns the same data. A planner must take start and goal
+be passed to Python, and the process ends. A planner must take start and goal
 from its `PlannerInputStates`, because a state returned by `ProblemDefinition` is freed together with its
 Python object. The option `simplify` must be off, or OMPL shortens the drive.
 """
@@ -117,21 +117,6 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         path = path_of(self.getSpaceInformation(), self.plan.curve)
         self.getProblemDefinition().addSolutionPath(path, stopped, missed if stopped else 0.0, self.name)
         return status(status.APPROXIMATE_SOLUTION if stopped else status.EXACT_SOLUTION)
-
-    def graph(self) -> Any:
-        """Return the drive as `PlannerData`: a chain of states."""
-        data = base.PlannerData(self.getSpaceInformation())
-        if self.plan is not None:
-            path = path_of(self.getSpaceInformation(), self.plan.curve)
-            last = path.getStateCount() - 1
-            for k in range(last + 1):
-                vertex = base.PlannerDataVertex(path.getState(k))
-                add = {0: data.addStartVertex, last: data.addGoalVertex}.get(k, data.addVertex)
-                add(vertex)
-                if k:
-                    data.addEdge(k - 1, k)
-            data.decoupleFromPlanner()
-        return data
 
 
 def registry_planners(

@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from planners.types import Floats, Ints
+from planners.vehicle import Limits
 
 KICKS = 60
 """Number of random perturbations of a finished order; each is kept if it shortens the tour."""
@@ -32,6 +33,8 @@ NEAR = 8.0
 WINDOW = 160
 """Number of lanes improved together when there are many lane ends."""
 
+FORBIDDEN = 1e9
+"""[s] time of a join that no tour contains, such as to the end of an item that has a direction."""
 ROWS_AT_A_TIME = 256
 """Number of lane ends per call of Dijkstra's algorithm."""
 HALF_NEIGHBOURHOOD = ((1, 0), (0, 1), (1, 1), (1, -1))
@@ -134,6 +137,33 @@ def tour(cost: Floats, first: int | None, rng: np.random.Generator) -> list[tupl
     return [(int(a) // 2, bool(a % 2)) for a, _ in best]
 
 
+def visiting_order(floor: CellGraph, places: Floats, here: Floats | None, limits: Limits, seed: int) -> Ints:
+    """Order places (n, 2) [m] by the travel times over the floor, from `here` (3,) if given."""
+    points = places if here is None else np.concatenate([places, here[None, :2]])
+    near = np.array([((floor.places - point) ** 2).sum(axis=1).argmin() for point in points])
+    cost = travel_times(floor, np.repeat(near, 2), limits.v, limits.v / limits.a)
+    found = tour(cost, None if here is None else 2 * len(places), np.random.default_rng(seed))
+    return np.array([k for k, _ in found if k < len(places)], dtype=np.int64)
+
+
+def sequence(cost: Floats, first: Floats | None) -> Ints:
+    """Order items (n,) by the time (n, n) [s] from the end of one to the start of another.
+
+    Parameters
+    ----------
+    first : (n,) [s] Time from the start to each item; None: any item may be first.
+    """
+    n = len(cost)
+    ends = np.full((2 * n + 2, 2 * n + 2), FORBIDDEN)
+    ends[1 : 2 * n : 2, 0 : 2 * n : 2] = cost
+    if first is None:
+        found = tour(ends[: 2 * n, : 2 * n], None, np.random.default_rng(0))
+    else:
+        ends[2 * n + 1, 0 : 2 * n : 2] = first
+        found = tour(ends, 2 * n, np.random.default_rng(0))
+    return np.array([k for k, _ in found if k < n], dtype=np.int64)
+
+
 class _Tour:
     """Runs as nodes (n, 2), entry and exit of each; the first run is fixed if a start is given."""
 
@@ -223,8 +253,8 @@ class _Tour:
             inside = (gap[None] >= k[:, None] - 1) & (gap[None] <= last[:, None])
             for flipped in (False, True):
                 head, tail = (leave[last], entry[k]) if flipped else (entry[k], leave[last])
-                spent = cost[np.ix_(head, leave[:-1])] + cost[np.ix_(tail, entry[1:])] - joins[None]
-                end = cost[head, leave[-1]] + np.where((last == n - 1) | self.pinned, np.inf, 0.0)
+                spent = cost[np.ix_(leave[:-1], head)].T + cost[np.ix_(tail, entry[1:])] - joins[None]
+                end = cost[leave[-1], head] + np.where((last == n - 1) | self.pinned, np.inf, 0.0)
                 gain = saved[:, None] - np.column_stack([np.where(inside, np.inf, spent), end])
                 at = np.unravel_index(int(gain.argmax()), gain.shape)
                 if gain[at] > best[0]:

@@ -12,7 +12,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from planners.reach import Reach
-from planners.types import Bools, Floats, Ints
+from planners.types import Bools, Ints
 
 PASSAGE = 0.25
 """[m] beyond the clearance; a passage narrower than this separates two rooms."""
@@ -142,46 +142,3 @@ def _connected_parts(room: Bools, graph: sparse.csr_matrix) -> list[Bools]:
     parts = np.zeros((n, room.size), dtype=np.bool_)
     parts[label, cells] = True
     return [part.reshape(room.shape) for part in parts]
-
-
-def shortest_sequence(cost: Floats, first: Floats | None) -> Ints:
-    """Order items by the cost (n, n) [s] from the end of one to the start of another: nearest neighbour, then Or-opt.
-
-    Parameters
-    ----------
-    first : (n,) [s] Cost from the start to each item; None: any item may be first.
-    """
-    n = len(cost)
-    lead = np.zeros(n) if first is None else first
-    best: tuple[float, list[int]] | None = None
-    for head in range(n) if first is None and n <= 60 else [int(lead.argmin())]:
-        order, left = [head], set(range(n)) - {head}
-        while left:
-            order.append(min(left, key=lambda k: (cost[order[-1], k], k)))
-            left.remove(order[-1])
-        total = _total(order, cost, lead)
-        if best is None or total < best[0] - 1e-9:
-            best = (total, order)
-    assert best is not None
-    return np.array(_or_opt(best[1], cost, lead), dtype=np.int64)
-
-
-def _total(order: list[int], cost: Floats, lead: Floats) -> float:
-    return float(lead[order[0]] + cost[order[:-1], order[1:]].sum())
-
-
-def _or_opt(order: list[int], cost: Floats, lead: Floats) -> list[int]:
-    """Move sequences of up to three items elsewhere while that lowers the cost (Or-opt)."""
-    total, improved = _total(order, cost, lead), len(order) <= 150
-    while improved:
-        improved = False
-        for size in (1, 2, 3):
-            for k in range(len(order) - size + 1):
-                rest = order[:k] + order[k + size :]
-                for at in range(len(rest) + 1):
-                    other = rest[:at] + order[k : k + size] + rest[at:]
-                    new = _total(other, cost, lead)
-                    if new < total - 1e-9:
-                        order, total, improved = other, new, True
-                        break
-    return order

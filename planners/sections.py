@@ -17,7 +17,7 @@ from planners.cars.car_curve import car_section, cusps
 from planners.clearance import Barriers
 from planners.curve import Curve, CurveBuilder, join_curves
 from planners.errors import PlanError
-from planners.joins.car_paths import connect_cars
+from planners.joins.car_paths import connect_car
 from planners.joins.paths import join
 from planners.reach import Reach
 from planners.task import JoinCounts, PlannedDrive, Task
@@ -173,17 +173,17 @@ class PathCache:
 
     def _by_car(self, begin: Floats, end: Floats) -> Transit:
         task = self.task
-        paths, joins = connect_cars(
-            begin[None],
-            [end[None]],
+        path, joins = connect_car(
+            begin,
+            end[None],
             reach=task.reach,
             barriers=task.barriers,
             vehicle=task.vehicle,
             seed=task.seed,
         )
-        if paths[0] is None:
+        if path is None:
             raise NoPathError(_no_path(begin, end))
-        return Transit(curve=paths[0].curve, joins=joins)
+        return Transit(curve=path.curve, joins=joins)
 
     def _path(self, begin: Floats, end: Floats) -> tuple[Floats, JoinCounts]:
         key = (*begin.tolist(), *end.tolist())

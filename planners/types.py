@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
-Int32s = NDArray[np.int32]
 Int16s = NDArray[np.int16]
+Int32s = NDArray[np.int32]
 
 ROUND_OFF = 1e-9
 """[m, rad, m/s, rad/s] Smaller lengths, angles and speeds are round-off."""

@@ -117,15 +117,15 @@ def test_a_room_that_ompl_finds_no_way_into_is_entered_by_the_wavefront(
     todo[11:13, 5:7] = True
     todo &= returnable_set(task.reach, task.vehicle.limits, 16, 10.0, START).bins
 
-    def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], JoinCounts]:
-        return [None] * len(starts), JoinCounts(failed=len(starts))
+    def in_vain(start: Floats, goals: Floats, **_: object) -> tuple[None, JoinCounts]:
+        return None, JoinCounts(failed=1)
 
     def search(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
         return search_floor(
             missing, task, here, seed, lambda left, seconds: True, SearchSettings(beam_width=30)
         )
 
-    monkeypatch.setattr(repairs, "connect_cars", in_vain)
+    monkeypatch.setattr(repairs, "connect_car", in_vain)
     repair = CarRepair(task, todo, START, search)
     visit = search(todo, np.array([3.1, 1.5, 0.0]), 0)
     assert visit is not None

@@ -88,7 +88,7 @@ def test_without_a_survey_coarse_coverage_comes_first() -> None:
     made = plan(door_arena(9.0), Vehicle(), order="anytime", cell=0.25, headings=4)
     assert made.report["coverage"] == 1.0
     early = made.curve.log(10.0)[: int(10.0 * 45.0)]
-    assert (np.ptp(early[:, :2], axis=0) > [2.0, 1.0]).all()  # blocks of 2 m in a room of 4 x 3 m
+    assert np.ptp(early[:, 0]) > 2.0  # two blocks of 3 m side by side in a room of 4 x 3 m
 
 
 def test_an_interrupted_plan_keeps_what_it_has() -> None:

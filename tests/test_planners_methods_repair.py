@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 from planners_samples import door_arena, some, task_of
 
-import planners.joins.paths as connections
 import planners.methods.repair_cars as repairs
 from planners import plan
 from planners.check import check
-from planners.curve import join_curves
 from planners.joins.car_paths import CarPath
-from planners.joins.paths import connect
 from planners.methods.coverage_cars import search_floor
-from planners.methods.coverage_spins import SpinRepair
 from planners.methods.repair_cars import MAX_IDLE_QUERIES, CarRepair
-from planners.reach import Reach
+from planners.methods.stop_and_spin import StopAndSpinPlanner
 from planners.search.log_phases import missed
 from planners.search.room_drive import RoomDrive
 from planners.search.settings import SearchSettings
@@ -75,13 +71,13 @@ def test_a_bin_that_no_way_leads_to_is_given_up_and_said_to_be() -> None:
 def test_ompl_is_not_asked_twice_for_a_bin_that_it_found_no_way_to(monkeypatch: pytest.MonkeyPatch) -> None:
     task, asked = task_of(door_arena(1.2), "dubins", START), list[Bools]()
 
-    def in_vain(starts: Floats, goals: list[Floats], **_: object) -> tuple[list[None], JoinCounts]:
-        (bins, inside) = task.coverage.bins(goals[0])
+    def in_vain(start: Floats, goals: Floats, **_: object) -> tuple[None, JoinCounts]:
+        (bins, inside) = task.coverage.bins(goals)
         assert inside.all()
         asked.append(some(task, *(tuple(own) for own in bins.tolist())))
-        return [None] * len(starts), JoinCounts(failed=len(starts))
+        return None, JoinCounts(failed=1)
 
-    monkeypatch.setattr(repairs, "connect_cars", in_vain)
+    monkeypatch.setattr(repairs, "connect_car", in_vain)
     todo = some(task, (12, 6, 0), (12, 7, 8), (3, 6, 8), (6, 8, 4))
     repair = CarRepair(task, todo, START, gives_up)
     repair.run()
@@ -108,7 +104,7 @@ def test_a_search_that_gives_up_goes_on_where_ompl_has_brought_the_car(drive: Dr
     task = task_of(door_arena(1.2), drive, START)
     todo = np.zeros_like(task.coverage.reachable)
     todo[11:13, 5:7] = True
-    short = SearchSettings(beam_width=30, horizon=1.5, goal_horizon=24 if drive == "reeds_shepp" else 6)
+    short = SearchSettings(beam_width=1, goal_width=1)
 
     def search(missing: Bools, here: Floats, seed: int) -> RoomDrive | None:
         return search_floor(missing, task, here, seed, lambda left, seconds: True, short)
@@ -127,13 +123,12 @@ def test_a_robot_that_turns_in_place_goes_round_the_wall_and_turns_through_what_
     """The cells beyond the wall have no straight way; the one by the start has."""
     task = task_of(door_arena(1.2), "diff", START)
     todo = some(task, (12, 1, 0), (12, 1, 5), (13, 1, 9), (3, 6, 8))
-    repair = SpinRepair(task, todo, START)
-    repair.run()
-    curve = join_curves(repair.curves)
-    assert not repair.lost.any()
+    made = StopAndSpinPlanner(task, todo).run()
+    curve = made.curve
+    assert made.lost is not None and not made.lost.any()
     assert not missed(curve, todo, task.coverage, task.rate).any()
-    assert (repair.joins.direct, repair.joins.planned, repair.joins.failed) == (2, 1, 0)
-    assert repair.joins.planned_m > np.hypot(2.0, 0.8)
+    assert (made.joins.direct, made.joins.planned, made.joins.failed) == (2, 1, 0)
+    assert made.joins.planned_m > np.hypot(2.0, 0.8)
     np.testing.assert_allclose(curve.poses[0], START)
     found = check(curve.trajectory(100.0), task.arena, task.vehicle)
     assert found.count == 0
@@ -144,42 +139,16 @@ def test_turns_where_nothing_is_missing_are_not_made() -> None:
     """What the way to the first cell meets, and what it needs no more, is not driven to."""
     task = task_of(door_arena(9.0), "diff", START)
     here = (3, 3, 1)  # the bin that START lies in
-    repair = SpinRepair(task, some(task, here), START)
-    repair.run()
-    (curve,) = repair.curves
-    assert curve.duration < 3.0
-    assert not repair.missing.any()
-
-
-def test_a_way_that_ompl_does_not_find_as_a_whole_is_found_leg_by_leg(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """As on a floor of forty rooms: here OMPL is told to give up at once on ways longer than two metres."""
-    task = task_of(door_arena(1.2), "diff", START)
-    solve = connections._query
-
-    def near(starts: Floats, goals: list[Floats], free: Reach, seed: int) -> list[Floats]:
-        ways = solve(starts, goals, free, seed)
-        apart = [np.hypot(*(own[0] - start)) for start, own in zip(starts, goals, strict=True)]
-        return [way if d < 2.0 else np.zeros((0, 2)) for way, d in zip(ways, apart, strict=True)]
-
-    monkeypatch.setattr(connections, "_query", near)
-    monkeypatch.setattr(connections, "LEG_LENGTH", 1.0)
-    ends = np.array([[0.6, 0.6]]), np.array([[3.4, 0.6]])
-    (path,), joins = connect(*ends, reach=task.reach, barriers=task.barriers, seed=0)
-    assert path is not None
-    assert (joins.direct, joins.planned, joins.failed) == (0, 1, 0)
-    np.testing.assert_allclose(path[[0, -1]], np.concatenate(ends))
-    assert task.barriers.are_clear(path[:-1], path[1:], task.reach.clearance - 0.003).all()
+    made = StopAndSpinPlanner(task, some(task, here)).run()
+    assert made.curve.duration < 3.0
 
 
 def test_what_lies_behind_a_closed_door_is_said_to_have_no_way() -> None:
     task = task_of(door_arena(0.3), "diff", START)
     todo = some(task, (12, 6, 0), (12, 7, 3), (3, 6, 8))
-    repair = SpinRepair(task, todo, START)
-    repair.run()
-    assert repair.joins.failed == 1
-    np.testing.assert_array_equal(repair.lost, some(task, (12, 6, 0), (12, 7, 3)))
+    made = StopAndSpinPlanner(task, todo).run()
+    assert made.joins.failed > 0
+    np.testing.assert_array_equal(made.lost, some(task, (12, 6, 0), (12, 7, 3)))
 
 
 def test_where_no_way_leads_on_from_the_end_of_a_drive_one_leads_on_from_before(

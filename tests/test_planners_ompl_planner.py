@@ -38,7 +38,7 @@ for drive in ("diff", "reeds_shepp"):
     setup, planner = setup_of(drive)
     setup.setPlanner(planner)
     setup.solve(600.0)
-    path, graph = setup.getSolutionPath(), planner.graph()
+    path = setup.getSolutionPath()
     n = path.getStateCount()
     answers[drive] = {
         "exact": setup.haveExactSolutionPath(),
@@ -47,7 +47,6 @@ for drive in ("diff", "reeds_shepp"):
         "length": path.length(),
         "coverage": planner.plan.report["coverage"],
         "path_m": planner.plan.report["path_m"],
-        "graph": [graph.numVertices(), graph.numEdges(), graph.numStartVertices(), graph.numGoalVertices()],
         "states": n,
     }
     setup.clear()
@@ -114,8 +113,6 @@ def test_ompl_has_its_problem_solved_from_start_to_goal_through_every_bin() -> N
         assert found["valid"]  # by OMPL's own motions between the states
         np.testing.assert_allclose(found["ends"], [START, GOAL], atol=1e-6)
         assert found["coverage"] >= 0.995
-        n = found["states"]
-        assert found["graph"] == [n, n - 1, 1, 1]
         assert found["cleared"]
         if drive == "reeds_shepp":  # chords and arcs of one length, but for those that hold a cusp
             assert found["length"] == pytest.approx(found["path_m"], rel=0.02)

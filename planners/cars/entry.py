@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from planners.cars.arc_path import BIN_STEP
 from planners.cars.car_curve import curve_of_arcs
 from planners.curve import Curve
 from planners.search.area import SearchArea
@@ -20,8 +21,6 @@ MAX_STEPS = 3
 """Maximum number of headings of the primitives within the arc."""
 SAME_HEADING = 1e-5
 """[rad] Headings closer than this are equal."""
-CLEARANCE_STEP = 0.005
-"""[m] between the places on the arc at which the clearance is tested."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,18 +76,18 @@ def shortest_entry_arc(
             primitives=primitives, pose=pose, length=0.0, bend=0, gear=1, state=state_at(primitives, pose)
         )
     search = CoverageSearch(area, primitives, np.zeros((*area.inner.shape, 1), dtype=np.bool_), rate)
-    arrays, scratch = search.primitive_arrays(), new_scratch(abs(primitives.safe_depth))
+    scratch = new_scratch(abs(primitives.safe_depth))
     for turn in turns.tolist():
         for mode, gear in enumerate(np.sign(primitives.speeds).astype(int).tolist()):
             length, bend = abs(turn) * limits.turning_radius, int(np.sign(turn))
             arc = curve_of_arcs(pose, np.array([length]), np.array([bend]), np.array([gear]), limits)
-            n = int(np.ceil(length / CLEARANCE_STEP))
+            n = int(np.ceil(length / BIN_STEP))
             poses = arc.sample(np.arange(1, n + 1) / n * arc.duration)[0]
             nodes = (poses[:, :2] - area.origin) / area.step - 0.5
             if ndimage.map_coordinates(area.distance, nodes.T, order=1).min() < area.clearance:
                 continue
             x, y, h, _ = state = state_at(primitives, poses[-1], mode)
-            if find_escape(x, y, int(h), mode, primitives.safe_depth, search.world, arrays, scratch) >= 0:
+            if find_escape(x, y, int(h), mode, primitives.safe_depth, search.world, primitives, scratch) >= 0:
                 return EntryArc(
                     primitives=primitives, pose=pose, length=length, bend=bend, gear=gear, state=state
                 )

@@ -23,7 +23,6 @@ from planners.kernel import inner_kernel, kernel
 from planners.reach import Reach, ReturnableSet
 from planners.search.area import SearchArea, search_area
 from planners.search.kernel_world import (
-    PrimitiveArrays,
     Scratch,
     SearchWorld,
     end_state,
@@ -32,7 +31,7 @@ from planners.search.kernel_world import (
     trace_back,
     try_primitive,
 )
-from planners.search.motion_primitives import car_primitives
+from planners.search.motion_primitives import MotionPrimitives, car_primitives
 from planners.search.search import RETRY_DWELL, CoverageSearch, SearchResult
 from planners.task import Task
 from planners.types import Bools, Floats, Int32s, Ints
@@ -77,7 +76,7 @@ def _expand_wavefront(
     reached: Bools,
     to_first: bool,
     world: SearchWorld,
-    primitives: PrimitiveArrays,
+    primitives: MotionPrimitives,
     lattice: float,
     covered: Ints,
 ) -> int:
@@ -117,7 +116,7 @@ def wavefront(
     reached: Bools,
     depth: int,
     world: SearchWorld,
-    primitives: PrimitiveArrays,
+    primitives: MotionPrimitives,
     lattice: float,
     scratch: Scratch,
 ) -> Int32s:
@@ -332,7 +331,7 @@ def _run_wavefront(
         reached,
         depth,
         search.world,
-        search.primitive_arrays(),
+        entered.primitives,
         LATTICE,
         new_scratch(abs(depth)),
     )

@@ -1,24 +1,35 @@
 """Joins of cars: paths in the state space of Reeds and Shepp or of Dubins, from a pose to the nearest of several goals.
 
-The shortest curve is tried first. If it is blocked, RRTConnect searches, and its path is shortened. (A
-roadmap is no alternative: OMPL's roadmaps are undirected, and a Dubins car's paths are directed.) OMPL does
-not return the arcs of its curves, so they are reconstructed from poses along them. The car drives a chain of
-those arcs, certified by exact distances. OMPL runs in a separate process (`ompl_car_paths`).
+The quickest words to the nearest goals are tried first. If all are blocked, RRTConnect searches, and its path is
+shortened. (A roadmap is no alternative: OMPL's roadmaps are undirected, and a Dubins car's paths are directed.)
+OMPL runs in a separate process (`ompl_car_paths`) and returns the poses between which it drives shortest curves;
+their arcs are those of the shortest words. The car drives a chain of arcs, certified by exact distances.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import ndimage
 
+from planners.arena import wrap
+from planners.cars.arc_path import BIN_STEP
 from planners.cars.car_curve import curve_of_arcs
-from planners.cars.reeds_shepp import MAX_ARCS, Pose, arc_end, empty_arcs, quickest_word
+from planners.cars.reeds_shepp import (
+    MAX_ARCS,
+    Arcs,
+    Pose,
+    arc_end,
+    concatenate_arcs,
+    empty_arcs,
+    quickest_word,
+    take_arcs,
+)
 from planners.clearance import Barriers
 from planners.curve import Curve
-from planners.joins.ompl_car_paths import ArcRows
 from planners.joins.ompl_process import CLEARANCE_SLACK, call_ompl
 from planners.joins.paths import floor_arrays
 from planners.reach import Reach
@@ -27,8 +38,8 @@ from planners.task import JoinCounts
 from planners.types import Bools, Floats
 from planners.vehicle import SHORTEST_ARC, Vehicle
 
-CERTIFY_STEP = 0.004
-"""[m] between the poses at which the clearance of a car's path is measured."""
+N_DIRECT_GOALS = 16
+"""Number of goals to which the quickest word is tried before OMPL samples."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,82 +52,126 @@ class CarPath:
     """Index of the goal."""
 
 
-def connect_cars(
-    starts: Floats,
-    goals: list[Floats],
-    *,
-    reach: Reach,
-    barriers: Barriers,
-    vehicle: Vehicle,
-    seed: int,
-) -> tuple[list[CarPath | None], JoinCounts]:
-    """Find a path from each start (n, 3) to one of its goals, each (m, 3) [m, m, rad].
+def connect_car(
+    start: Floats, goals: Floats, *, reach: Reach, barriers: Barriers, vehicle: Vehicle, seed: int
+) -> tuple[CarPath | None, JoinCounts]:
+    """Find a path from a start (3,) to one of the goals (m, 3) [m, m, rad].
 
     Returns
     -------
-    The paths, None where none was found; and their counts.
+    The path, None if none was found; and its count.
 
     Raises
     ------
     PlanError : OMPL is not installed, or its process failed.
     """
-    within = [np.flatnonzero(_are_connected(own, reach)) for own in goals]
+    within = np.flatnonzero(_are_connected(goals, reach))
+    if not len(within):
+        return None, JoinCounts(failed=1)
+
+    def first_clear(tries: Iterator[tuple[Arcs, int]]) -> tuple[CarPath | None, float]:
+        for arcs, goal in tries:
+            path = _certified_drive(start, arcs, int(within[goal]), barriers, reach.clearance, vehicle)
+            if path is not None:
+                return path, float(arcs.length.sum())
+        return None, 0.0
+
+    path, _ = first_clear(_direct(start, goals[within], vehicle))
+    if path is not None:
+        return path, JoinCounts(direct=1)
+    path, length = first_clear(_planned(start, goals[within], reach, vehicle, seed))
+    return path, JoinCounts(planned=1, planned_m=length) if path is not None else JoinCounts(failed=1)
+
+
+def _direct(start: Floats, goals: Floats, vehicle: Vehicle) -> Iterator[tuple[Arcs, int]]:
+    """Yield the quickest words to the nearest goals (m, 3) that have one, and the index of the goal of each."""
+    words = [_word(start, goal, 0, 0, vehicle) for goal in goals]
+    lengths = np.array([np.inf if word is None else word.length.sum() for word in words])
+    for k in np.argsort(lengths, kind="stable")[:N_DIRECT_GOALS].tolist():
+        if (word := words[k]) is not None:
+            yield word, k
+
+
+def _planned(
+    start: Floats, goals: Floats, reach: Reach, vehicle: Vehicle, seed: int
+) -> Iterator[tuple[Arcs, int]]:
+    """Yield paths by OMPL, the quickest first, and the index of the goal (m, 3) of each."""
     response = call_ompl(
         "planners.joins.ompl_car_paths",
         seed=seed,
-        starts=starts,
-        goals=np.concatenate([own[kept] for own, kept in zip(goals, within, strict=True)]),
-        counts=[len(kept) for kept in within],
+        start=start,
+        goals=goals,
         radius=vehicle.limits.turning_radius,
         backward=vehicle.drive == "reeds_shepp",
-        gear_change_cost=_gear_change_cost(vehicle),
         **floor_arrays(reach),
     )
-    found_arcs = np.split(response["arcs"], np.cumsum(response["lengths"])[:-1])
-    paths: list[CarPath | None] = []
-    joins = JoinCounts()
-    for k, (start, own) in enumerate(zip(starts, found_arcs, strict=True)):
-        found, straight = int(response["goal"][k]), bool(response["direct"][k])
-        goal = int(within[k][found]) if found >= 0 else -1
-        tried = _without_steering_chatter(start, own, vehicle) if goal >= 0 else iter(())
-        made = (_certified_drive(start, arcs, goal, barriers, reach.clearance, vehicle) for arcs in tried)
-        path = next((one for one in made if one is not None), None)
-        paths.append(path)
-        joins += JoinCounts(
-            direct=int(path is not None and straight),
-            planned=int(path is not None and not straight),
-            failed=int(path is None),
-            planned_m=float(own[:, 2].sum()) if path is not None and not straight else 0.0,
-        )
-    return paths, joins
+    found = []
+    for poses in (
+        np.split(response["poses"], np.cumsum(response["lengths"])[:-1]) if len(response["lengths"]) else []
+    ):
+        arcs = concatenate_arcs([_shortest(a, b, vehicle) for a, b in pairwise(poses)])
+        apart = goals - poses[-1]
+        goal = int(np.argmin(abs(np.column_stack([apart[:, :2], wrap(apart[:, 2])])).max(axis=1)))
+        cost = float(arcs.length.sum()) + _gear_change_cost(vehicle) * int((np.diff(arcs.gear) != 0).sum())
+        found.append((cost, arcs, goal))
+    for _, arcs, goal in sorted(found, key=lambda one: one[0]):
+        for tried in _without_steering_chatter(start, arcs, vehicle):
+            yield tried, goal
 
 
-def _without_steering_chatter(start: Floats, arcs: ArcRows, vehicle: Vehicle) -> Iterator[ArcRows]:
+def _without_steering_chatter(start: Floats, arcs: Arcs, vehicle: Vehicle) -> Iterator[Arcs]:
     """Yield the path with its steering chatter replaced by a word without any; last, yield the path itself.
 
     Steering chatter is a sequence of arcs so short that the wheels turn there and back within a sample. The
     replaced part grows by one arc on each side per attempt.
     """
-    short = np.flatnonzero(arcs[:, 2] < SHORTEST_ARC)
-    n, radius = len(arcs), vehicle.limits.turning_radius
-    poses: list[Pose] = [(float(start[0]), float(start[1]), float(start[2]))]
-    for gear, bend, length in arcs.tolist():
-        poses.append(arc_end(poses[-1], length, int(bend), int(gear), radius))
-    gears = [0, *arcs[:, 0].astype(int).tolist(), 0]
-    buffer, word = empty_arcs(MAX_ARCS), np.empty(MAX_ARCS)
+    short, n = np.flatnonzero(arcs.length < SHORTEST_ARC), len(arcs.length)
+    poses = [_pose(start)]
+    for length, bend, gear in zip(*(part.tolist() for part in arcs), strict=True):
+        poses.append(arc_end(poses[-1], length, bend, gear, vehicle.limits.turning_radius))
+    gears = [0, *arcs.gear.tolist(), 0]
     for wide in range(1, n + 1) if len(short) else ():
         i, k = max(int(short[0]) - wide, 0), min(int(short[-1]) + wide + 1, n)
-        ends = poses[i], poses[k], radius, gears[i], gears[k + 1]
-        m = quickest_word(
-            *ends, _gear_change_cost(vehicle), vehicle.drive == "reeds_shepp", SHORTEST_ARC, 0, word, buffer
-        )
-        if m >= 0:
-            yield np.concatenate(
-                [arcs[:i], np.column_stack([buffer.gear, buffer.bend, buffer.length])[:m], arcs[k:]]
-            )
+        word = _word(np.array(poses[i]), np.array(poses[k]), gears[i], gears[k + 1], vehicle)
+        if word is not None:
+            yield concatenate_arcs([take_arcs(arcs, slice(i)), word, take_arcs(arcs, slice(k, None))])
         if i == 0 and k == n:
             break
     yield arcs
+
+
+def _word(start: Floats, goal: Floats, gear_before: int, gear_after: int, vehicle: Vehicle) -> Arcs | None:
+    """Return the quickest word from one pose (3,) to another without arcs too short to steer, or None."""
+    return _arcs(start, goal, gear_before, gear_after, _gear_change_cost(vehicle), SHORTEST_ARC, vehicle)
+
+
+def _shortest(start: Floats, goal: Floats, vehicle: Vehicle) -> Arcs:
+    """Return the shortest word from one pose (3,) to another, as OMPL drives it."""
+    word = _arcs(start, goal, 0, 0, 0.0, 0.0, vehicle)
+    assert word is not None
+    return word
+
+
+def _arcs(
+    start: Floats,
+    goal: Floats,
+    gear_before: int,
+    gear_after: int,
+    gear_change_cost: float,
+    shortest: float,
+    vehicle: Vehicle,
+) -> Arcs | None:
+    buffer, word, radius = empty_arcs(MAX_ARCS), np.empty(MAX_ARCS), vehicle.limits.turning_radius
+    can_reverse = vehicle.drive == "reeds_shepp"
+    n = quickest_word(
+        _pose(start), _pose(goal), radius, gear_before, gear_after, gear_change_cost, can_reverse, shortest, 0, word,
+        buffer,
+    )  # fmt: skip
+    return take_arcs(buffer, slice(n)) if n >= 0 else None
+
+
+def _pose(pose: Floats) -> Pose:
+    return float(pose[0]), float(pose[1]), float(pose[2])
 
 
 def _gear_change_cost(vehicle: Vehicle) -> float:
@@ -135,16 +190,16 @@ def _are_connected(goals: Floats, reach: Reach) -> Bools:
 
 
 def _certified_drive(
-    start: Floats, arcs: ArcRows, goal: int, barriers: Barriers, clearance: float, vehicle: Vehicle
+    start: Floats, arcs: Arcs, goal: int, barriers: Barriers, clearance: float, vehicle: Vehicle
 ) -> CarPath | None:
     """Return the drive along arcs; None if it violates the clearance.
 
     The clearance is reduced by the slack that OMPL is given.
     """
-    if not len(arcs):
+    if not len(arcs.length):
         return CarPath(curve=None, goal=goal)
-    curve = curve_of_arcs(start, arcs[:, 2], arcs[:, 1], arcs[:, 0], vehicle.limits)
-    n = int(np.ceil(curve.duration * vehicle.limits.v / CERTIFY_STEP)) + 1
+    curve = curve_of_arcs(start, arcs.length, arcs.bend, arcs.gear, vehicle.limits)
+    n = int(np.ceil(curve.duration * vehicle.limits.v / BIN_STEP)) + 1
     places = curve.sample(np.linspace(0.0, curve.duration, n))[0][:, :2]
     clear = barriers.distances(places).min() >= clearance - CLEARANCE_SLACK
     return CarPath(curve=curve, goal=goal) if clear else None

@@ -21,10 +21,9 @@ CORNER_COST = 0.5
 
 
 def _paths(base: Any, geometric: Any, request: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Answer queries from places (n, 2) [m], each with its goals."""
+    """Answer queries from places (n, 2) to others (n, 2) [m]."""
     problem = _PlaneProblem(base, geometric, base.RealVectorStateSpace(2), request, _is_valid)
-    goals = np.split(request["goals"], np.cumsum(request["counts"])[:-1])
-    paths = [problem.solve(start, own) for start, own in zip(request["starts"], goals, strict=True)]
+    paths = [problem.solve(*places) for places in zip(request["starts"], request["ends"], strict=True)]
     return {"points": np.concatenate(paths), "lengths": [len(path) for path in paths]}
 
 
@@ -40,21 +39,18 @@ class _PlaneProblem(OmplProblem):
         SamplingStage(window=1.0, max_step=0.3, iterations=1_000),
         SamplingStage(window=4.0, max_step=1.0, iterations=2_000),
         SamplingStage(window=np.inf, max_step=2.0, iterations=4_000),
-        SamplingStage(window=0.3, max_step=0.05, iterations=8_000),
-        SamplingStage(window=1.5, max_step=0.1, iterations=8_000),
     )
-    """Most paths are short; the last two stages find gaps that the coarser ones miss."""
+    """Most paths are short. Gaps that these stages miss are left to the raster (`paths.raster_path`)."""
     n_solutions = 2
 
-    def solve(self, start: Floats, goals: Floats) -> Floats:
-        """Return the best path (k, 2) [m] to one of the goals (m, 2); (0, 2) if none is found."""
-        here, there = self._state(*start), [self._state(*goal) for goal in goals]
-        places = np.concatenate([start[None], goals])
+    def solve(self, start: Floats, end: Floats) -> Floats:
+        """Return the best path (k, 2) [m] from one place (2,) to another; (0, 2) if none is found."""
+        places = np.stack([start, end])
         self.set_clearance(places)
-        path = self.best_path(here, there, places)
-        return np.zeros((0, 2)) if path is None else np.asarray(path)
+        found = self.solutions(self._state(*start), [self._state(*end)], places)
+        return min(found, key=_cost, default=np.zeros((0, 2)))
 
-    def path_of(self, path: Any, simplifier: Any, goals: list[Any]) -> Floats:
+    def path_of(self, path: Any, simplifier: Any) -> Floats:
         """Straighten a solution and return its corners (k, 2) [m]."""
         simplifier.reduceVertices(path)
         simplifier.ropeShortcutPath(path, max(0.1, path.length() / N_ROPE_PARTS))
@@ -63,14 +59,15 @@ class _PlaneProblem(OmplProblem):
         states = [path.getState(k) for k in range(path.getStateCount())]
         return np.array([[state[0], state[1]] for state in states])
 
-    def cost(self, path: Floats) -> float:
-        """Return the length, and a cost for each corner."""
-        return float(np.hypot(*np.diff(path, axis=0).T).sum()) + CORNER_COST * len(path)
-
     def _state(self, x: float, y: float) -> Any:
         state = self.space.allocState()
         state[0], state[1] = float(x), float(y)
         return state
+
+
+def _cost(path: Floats) -> float:
+    """Return the length [m] of a path (k, 2), and a cost for each corner."""
+    return float(np.hypot(*np.diff(path, axis=0).T).sum()) + CORNER_COST * len(path)
 
 
 if __name__ == "__main__":

@@ -275,7 +275,7 @@ class OmplProblem(ABC):
 
     stages: Sequence[SamplingStage]
     n_solutions: int
-    """Number of solutions per query; the best is kept."""
+    """Number of solutions per query, among which the best is chosen."""
 
     def __init__(
         self,
@@ -298,20 +298,16 @@ class OmplProblem(ABC):
         self.setup.setPlanner(self.planner)
 
     @abstractmethod
-    def path_of(self, path: Any, simplifier: Any, goals: list[Any]) -> Any:
-        """Return a solution as a path in numbers, after it is simplified; None if it is not valid."""
-
-    @abstractmethod
-    def cost(self, path: Any) -> float:
-        """Return the cost [m] by which solutions are compared."""
+    def path_of(self, path: Any, simplifier: Any) -> Floats | None:
+        """Return the states (k, n) of a solution, after it is simplified; None if it is not valid."""
 
     def set_clearance(self, places: Floats) -> None:
         """Set the clearance of a query, with some slack if these places (n, 2) [m] allow it."""
         lowest = min(self.field.value(*place) for place in places.tolist())
         self.field.clearance = min(self.clearance + CLEARANCE_SLACK, max(lowest, self.clearance)) - ROUNDING
 
-    def best_path(self, here: Any, there: list[Any], places: Floats) -> Any:
-        """Return the best path to one of the goals, sampled around places (n, 2) [m]; None if none is found."""
+    def solutions(self, here: Any, there: list[Any], places: Floats) -> list[Floats]:
+        """Return paths to one of the goals, sampled around places (n, 2) [m]; an empty list if none is found."""
         for stage in self.stages:
             if hasattr(self.planner, "setRange"):
                 self.planner.setRange(stage.max_step)
@@ -320,25 +316,21 @@ class OmplProblem(ABC):
             first = self._attempt(here, there, stage.iterations)
             if first is not None:
                 others = [self._attempt(here, there, stage.iterations) for _ in range(self.n_solutions - 1)]
-                return min((path for path in (first, *others) if path is not None), key=self.cost)
+                return [first, *(path for path in others if path is not None)]
             self.field.clearance = self.clearance - ROUNDING
-        return None
+        return []
 
-    def _attempt(self, here: Any, there: list[Any], iterations: int) -> Any:
-        self.state_query(here, there)
-        self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(iterations)))
-        if not self.setup.haveExactSolutionPath():  # the status is true for approximate solutions too
-            return None
-        return self.path_of(self.setup.getSolutionPath(), self.setup.getPathSimplifier(), there)
-
-    def state_query(self, here: Any, there: list[Any]) -> None:
-        """Set the start and the goals of the problem."""
+    def _attempt(self, here: Any, there: list[Any], iterations: int) -> Floats | None:
         goals = self.base.GoalStates(self.information)
         for state in there:
             goals.addState(state)
         self.setup.clear()
         self.setup.setStartState(here)
         self.setup.setGoal(goals)
+        self.setup.solve(self.base.PlannerTerminationCondition(IterationLimit(iterations)))
+        if not self.setup.haveExactSolutionPath():  # the status is true for approximate solutions too
+            return None
+        return self.path_of(self.setup.getSolutionPath(), self.setup.getPathSimplifier())
 
     def _bound(self, low: Floats, high: Floats) -> None:
         bounds = self.base.RealVectorBounds(2)

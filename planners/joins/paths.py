@@ -7,15 +7,11 @@ algorithm). With the distance d of a node to the nearest wall, a step from node 
 
     Cost per metre: c = 1 + 1 / (1 + max(d - clearance, 0) / step).
 
-Nodes next to walls cost twice their length. The path connects places that are far apart through doors that
-OMPL's samples miss. A straight line between the middles of large cells may not pass a door; a path over nodes
-does.
+Nodes next to walls cost twice their length. The path leads through doors that OMPL's samples miss.
 """
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -26,17 +22,8 @@ from planners.clearance import Barriers
 from planners.joins.ompl_process import CLEARANCE_SLACK, call_ompl
 from planners.order import HALF_NEIGHBOURHOOD
 from planners.reach import Reach
-from planners.rooms import cell_graph
 from planners.task import JoinCounts, Task
 from planners.types import ROUND_OFF, Floats, Ints
-
-MAX_GOALS = 400
-"""Maximum number of goals per query; the nearest ones are used."""
-LEG_LENGTH = 4.0
-"""[m] Length of the legs in which a path is searched that OMPL does not find as a whole
-(`python -m benchmarks.coverage_planners --large 42 30`)."""
-QUERIES_PER_PROCESS = 48
-"""Number of queries per process; fixed, so that results do not depend on the number of processors."""
 
 
 def join(task: Task, starts: Floats, ends: Floats) -> tuple[list[Floats | None], JoinCounts]:
@@ -44,25 +31,23 @@ def join(task: Task, starts: Floats, ends: Floats) -> tuple[list[Floats | None],
     return connect(starts, ends, reach=task.reach, barriers=task.barriers, seed=task.seed)
 
 
-def continued(path: Floats | None, here: Floats, end: Floats, task: Task) -> tuple[Floats | None, JoinCounts]:
-    """Return a path (k, 2) [m], or another one to its end (2,) if it does not begin `here` (2,).
+def continued(
+    path: Floats | None, begin: Floats, here: Floats, end: Floats, task: Task
+) -> tuple[Floats | None, JoinCounts]:
+    """Return the path (k, 2) [m] that was planned from `begin` (2,), or another one to `end` (2,) from `here` (2,).
 
-    This is so if the place before was not reached.
+    The robot is elsewhere if the place before was not reached.
     """
-    if path is None or np.allclose(path[0], here, atol=ROUND_OFF):
+    if np.allclose(begin, here, atol=ROUND_OFF):
         return path, JoinCounts()
     (again,), joins = join(task, here[None], end[None])
     return again, joins
 
 
 def connect(
-    starts: Floats, ends: Floats, *, reach: Reach, barriers: Barriers, seed: int, in_parts: bool = True
+    starts: Floats, ends: Floats, *, reach: Reach, barriers: Barriers, seed: int
 ) -> tuple[list[Floats | None], JoinCounts]:
-    """Find a path for each move (n, 2) -> (n, 2) [m]: straight if clear, else by OMPL.
-
-    Parameters
-    ----------
-    in_parts : Whether to search in parts for paths that OMPL does not find as a whole.
+    """Find a path for each move (n, 2) -> (n, 2) [m]: straight if clear, else by OMPL, else over raster nodes.
 
     Returns
     -------
@@ -76,11 +61,11 @@ def connect(
     paths: list[Floats | None] = [np.stack(ends_) for ends_ in zip(starts, ends, strict=True)]
     blocked = np.flatnonzero(~direct)
     if len(blocked):
-        found = _query_in_batches(starts[blocked], ends[blocked], reach, seed)
+        found = _query(starts[blocked], ends[blocked], reach, seed)
         for k, corners in zip(blocked.tolist(), found, strict=True):
             paths[k] = _certified_path(corners, barriers, reach.clearance)
-            if paths[k] is None and in_parts:
-                paths[k] = _connect_in_parts(starts[k], ends[k], reach, barriers, seed)
+            if paths[k] is None and (nodes := raster_path(starts[k], ends[k], reach)) is not None:
+                paths[k] = _certified_path(nodes, barriers, reach.clearance)
     planned = [path for k in blocked.tolist() if (path := paths[k]) is not None]
     return paths, JoinCounts(
         direct=int(direct.sum()),
@@ -88,86 +73,6 @@ def connect(
         failed=len(blocked) - len(planned),
         planned_m=float(sum(np.hypot(*np.diff(path, axis=0).T).sum() for path in planned)),
     )
-
-
-def connect_nearest(
-    start: Floats, goals: Floats, *, reach: Reach, barriers: Barriers, seed: int
-) -> tuple[Floats | None, JoinCounts]:
-    """Find a path from a place (2,) to one of the goals (m, 2) [m]: straight to the nearest if clear, else by OMPL.
-
-    All goals are in one query (`ob.GoalStates`).
-
-    Returns
-    -------
-    path : (k, 2) [m] Corners with both ends; None where no path was found.
-    """
-    nearest = np.argsort(np.hypot(*(goals - start).T), kind="stable")
-    clear = barriers.are_clear(np.repeat(start[None], len(goals), axis=0), goals[nearest], reach.clearance)
-    if clear.any():
-        return np.stack([start, goals[nearest[clear.argmax()]]]), JoinCounts(direct=1)
-    (found,) = _query(start[None], [goals[nearest[:MAX_GOALS]]], reach, seed)
-    path = _certified_path(found, barriers, reach.clearance)
-    if path is None:
-        path = _connect_in_parts(start, goals[nearest[0]], reach, barriers, seed)
-    if path is None:
-        return None, JoinCounts(failed=1)
-    return path, JoinCounts(planned=1, planned_m=float(np.hypot(*np.diff(path, axis=0).T).sum()))
-
-
-def _connect_in_parts(
-    start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
-) -> Floats | None:
-    """Find a path (k, 2) [m] that OMPL did not find as a whole: in legs over cells, else over raster nodes."""
-    path = _path_over_cells(start, end, reach, barriers, seed)
-    return _path_over_nodes(start, end, reach, barriers, seed) if path is None else path
-
-
-def _path_over_cells(
-    start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
-) -> Floats | None:
-    """Find a path (k, 2) [m] in legs between places on the shortest path over cells.
-
-    None if that path is shorter than a leg, or if a leg is not found.
-    """
-    at = [np.floor((place - reach.origin) / reach.cell).astype(np.int64) for place in (start, end)]
-    first, last = (int(np.ravel_multi_index(tuple(cell), reach.shape)) for cell in at)
-    far, before = csgraph.dijkstra(
-        cell_graph(reach), directed=False, indices=np.array([first]), return_predecessors=True
-    )
-    if not LEG_LENGTH / reach.cell < far[0, last] < np.inf:
-        return None
-    route = [last]
-    while route[-1] != first:
-        route.append(int(before[0, route[-1]]))
-    cells = np.unravel_index(route[::-1][:: max(round(LEG_LENGTH / reach.cell), 1)][1:], reach.shape)
-    stops = np.concatenate([start[None], reach.deepest(np.column_stack(cells)), end[None]])
-    return _joined_legs(stops, reach, barriers, seed)
-
-
-def _path_over_nodes(
-    start: Floats, end: Floats, reach: Reach, barriers: Barriers, seed: int
-) -> Floats | None:
-    """Find a path (k, 2) [m] along the shortest path over raster nodes, by straight pieces or OMPL in legs."""
-    nodes = raster_path(start, end, reach)
-    if nodes is None:
-        return None
-    path = _certified_path(nodes, barriers, reach.clearance)
-    if path is not None:
-        return path
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(nodes, axis=0).T))])
-    if along[-1] <= LEG_LENGTH:
-        return None
-    stops = nodes[np.searchsorted(along, np.arange(0.0, along[-1], LEG_LENGTH / 2))]
-    return _joined_legs(np.concatenate([stops, end[None]]), reach, barriers, seed, in_parts=False)
-
-
-def _joined_legs(
-    stops: Floats, reach: Reach, barriers: Barriers, seed: int, *, in_parts: bool = True
-) -> Floats | None:
-    """Find a path (k, 2) [m] through stops (n, 2); None if a leg is not found."""
-    legs, _ = connect(stops[:-1], stops[1:], reach=reach, barriers=barriers, seed=seed, in_parts=in_parts)
-    found = [leg for leg in legs if leg is not None]
-    return np.concatenate([stops[:1], *(leg[1:] for leg in found)]) if len(found) == len(legs) else None
 
 
 def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Floats | None:
@@ -188,30 +93,9 @@ def _certified_path(path: Floats, barriers: Barriers, clearance: float) -> Float
     return None
 
 
-def _query_in_batches(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
-    """Solve queries (n, 2) -> (n, 2) [m] in batches, in one process per processor."""
-    goals = list(ends[:, None])
-    batches = [slice(k, k + QUERIES_PER_PROCESS) for k in range(0, len(starts), QUERIES_PER_PROCESS)]
-    seeds = [int(np.random.SeedSequence([seed, k]).generate_state(1)[0]) for k in range(len(batches))]
-    if len(batches) == 1:
-        return _query(starts, goals, reach, seeds[0])
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
-        answers = threads.map(
-            lambda batch, own: _query(starts[batch], goals[batch], reach, own), batches, seeds
-        )
-        return [path for answer in answers for path in answer]
-
-
-def _query(starts: Floats, goals: list[Floats], reach: Reach, seed: int) -> list[Floats]:
-    """Solve queries (n, 2) [m], each with its goals (m, 2), in one process; an empty path means that none was found."""
-    data = call_ompl(
-        "planners.joins.ompl_paths",
-        seed=seed,
-        starts=starts,
-        goals=np.concatenate(goals),
-        counts=[len(own) for own in goals],
-        **floor_arrays(reach),
-    )
+def _query(starts: Floats, ends: Floats, reach: Reach, seed: int) -> list[Floats]:
+    """Solve queries (n, 2) -> (n, 2) [m] by OMPL; an empty path means that none was found."""
+    data = call_ompl("planners.joins.ompl_paths", seed=seed, starts=starts, ends=ends, **floor_arrays(reach))
     return list(np.split(data["points"], np.cumsum(data["lengths"])[:-1]))
 
 

@@ -183,16 +183,7 @@ class _SpinTour(StopAndSpinPlanner):
     def _sequence(self, cells: CellGraph, todo: Bools) -> Ints:
         reach, limits = self.task.reach, self.task.vehicle.limits
         floor = standing_places(reach, self.task.barriers, reach.cells()[:, :, None] | todo)
-        number = np.full(reach.shape, -1)
-        number[tuple(floor.index.T)] = np.arange(len(floor.index))
-        near = number[tuple(cells.index.T)]
-        here = self._here()
-        if here is not None:
-            near = np.append(near, ((floor.places - here[:2]) ** 2).sum(axis=1).argmin())
-        cost = order.travel_times(floor, np.repeat(near, 2), limits.v, limits.v / limits.a)
-        first = None if here is None else 2 * len(cells.index)
-        found = order.tour(cost, first, np.random.default_rng(self.task.seed))
-        return np.array([k for k, _ in found if k < len(cells.index)])
+        return order.visiting_order(floor, cells.places, self._here(), limits, self.task.seed)
 
 
 def _one_in_each(missing: Bools, block: float, task: Task) -> Bools:

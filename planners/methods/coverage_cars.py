@@ -1,7 +1,4 @@
-"""The coverage planner for cars: search rooms in parallel, join them by OMPL, repair, shorten, repair again.
-
-`search_floor` searches several rooms, one after the other, in the order of `order_rooms`.
-"""
+"""The coverage planner for cars: search rooms in parallel, join them by OMPL, repair, shorten, repair again."""
 
 from __future__ import annotations
 
@@ -39,7 +36,7 @@ def search_floor(
     tick: Callable[[int, float], bool],
     settings: SearchSettings,
 ) -> RoomDrive | None:
-    """Search for a car's drive through the bins `todo` (nx, ny, n_phi), one room after the other.
+    """Search for a car's drive through the bins `todo` (nx, ny, n_phi).
 
     Bins that the log of some phase misses are searched again, with longer stays. None if no bin is covered.
     """
@@ -53,21 +50,12 @@ def search_floor(
     search.start_at(entered.state)
     missing, given_up = todo, np.zeros_like(todo)
     curve: Curve | None = None
-    for part, dwell in [
-        *((room, 1.0) for room in order_rooms(todo, start, task)),
-        (None, 1.0),
-        *((None, dwell) for dwell in RETRY_DWELL),
-    ]:
-        wanted = (missing if part is None else missing & part[:, :, None]) & ~given_up
+    for dwell in (1.0, *RETRY_DWELL):
+        wanted = missing & ~given_up
         if not wanted.any():
-            continue
-        others = int(missing.sum() - wanted.sum())
+            break
         search.want(wanted, dwell, inner=False)
-
-        def tick_all(left: int, others: int = others) -> bool:
-            return tick(others + left, search.seconds)
-
-        search.run(tick_all)
+        search.run(lambda left: tick(left, search.seconds))
         found = search.result()
         given_up |= found.left
         if len(found.sequence):

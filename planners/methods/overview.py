@@ -17,10 +17,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from planners import order
 from planners.methods.stop_and_spin import standing_places
 from planners.methods.views import drive_views
 from planners.reach import Reach
-from planners.rooms import shortest_sequence
 from planners.task import PlannedDrive, Survey, Task
 from planners.types import Bools, Floats, Ints
 
@@ -194,7 +194,7 @@ def _choose(views: _Stops, survey: Survey, gains: Floats, here: Floats, seconds:
         _insert(tour, rows, bound, views, survey, seconds)
         if len(tour) > 1:
             cost = np.array([rows[k].seconds[tour] for k in tour])
-            tour = [tour[k] for k in shortest_sequence(cost, rows[-1].seconds[tour]).tolist()]
+            tour = [tour[k] for k in order.sequence(cost, rows[-1].seconds[tour]).tolist()]
     return np.array(tour, dtype=np.int64)
 
 

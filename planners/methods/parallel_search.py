@@ -24,8 +24,6 @@ COMPILE_NOTICE = 2.0
 """[s] of compiling, after which a notice is logged."""
 POLL_INTERVAL = 0.1
 """[s] between two progress updates."""
-MISSED_BIN_COST = 4.0
-"""[s] Cost of a bin that a search leaves to the repair, when searches of a room are compared."""
 
 logger = logging.getLogger(__name__)
 
@@ -44,12 +42,9 @@ def primitives_of(task: Task) -> MotionPrimitives:
 
 
 def search_in_parallel(
-    job: Callable[[int, int, SearchTick], RoomDrive | None],
-    sizes: list[int],
-    task: Task,
-    tries: int = 1,
+    job: Callable[[int, int, SearchTick], RoomDrive | None], sizes: list[int], task: Task
 ) -> tuple[list[RoomDrive | None], bool]:
-    """Run each job `tries` times on all processors, and return its best drive.
+    """Run each job on one of the processors, and return its drive.
 
     Ctrl-C ends the searches and keeps their results so far; a second Ctrl-C ends everything.
 
@@ -66,32 +61,29 @@ def search_in_parallel(
     ------
     KeyboardInterrupt : Ctrl-C came before any drive was found.
     """
-    left = {(room, attempt): size for attempt in range(tries) for room, size in enumerate(sizes)}
-    total, stop = sum(left.values()), threading.Event()
-    seconds = dict.fromkeys(left, 0.0)
-    each = reference_time(task.coverage, task.vehicle) / max(total // tries, 1)  # [s] per bin
+    left, seconds = dict(enumerate(sizes)), dict.fromkeys(range(len(sizes)), 0.0)
+    total, stop = sum(sizes), threading.Event()
+    each = reference_time(task.coverage, task.vehicle) / max(total, 1)  # [s] per bin
 
-    def search(room: int, attempt: int) -> RoomDrive | None:
+    def search(room: int) -> RoomDrive | None:
         def tick(now: int, driven: float) -> bool:
-            left[room, attempt], seconds[room, attempt] = now, driven
+            left[room], seconds[room] = now, driven
             return not stop.is_set()
 
-        seed = int(np.random.SeedSequence([task.seed, room, attempt]).generate_state(1)[0])
+        seed = int(np.random.SeedSequence([task.seed, room, 0]).generate_state(1)[0])
         return job(room, seed, tick)
 
     _compile(task)
     if task.progress:
-        task.progress(0, total // tries)
+        task.progress(0, total)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        futures: dict[tuple[int, int], Future[RoomDrive | None]] = {
-            key: threads.submit(search, *key) for key in sorted(left)
-        }
+        futures: list[Future[RoomDrive | None]] = [threads.submit(search, room) for room in left]
         try:
-            open_ = set(futures.values())
+            open_ = set(futures)
             while open_:
                 _, open_ = wait(open_, timeout=POLL_INTERVAL)
                 if task.progress:
-                    task.progress((total - sum(left.values())) // tries, total // tries)
+                    task.progress(total - sum(left.values()), total)
                 task.show_status(
                     _quality(
                         sum(seconds.values()), each * (total - sum(left.values())), len(sizes), len(open_)
@@ -103,21 +95,11 @@ def search_in_parallel(
             if not isinstance(exc, KeyboardInterrupt):
                 raise
     if task.progress and not stop.is_set():
-        task.progress(total // tries, total // tries)
-    best: list[RoomDrive | None] = []
-    for room in range(len(sizes)):
-        done = [futures[room, attempt] for attempt in range(tries) if not futures[room, attempt].cancelled()]
-        tried = [drive for future in done if (drive := future.result()) is not None]
-        best.append(
-            min(
-                tried,
-                key=lambda drive: drive.curve.duration + MISSED_BIN_COST * drive.left,
-                default=None,
-            )
-        )
-    if stop.is_set() and not any(best):
+        task.progress(total, total)
+    found = [None if future.cancelled() else future.result() for future in futures]
+    if stop.is_set() and not any(found):
         raise KeyboardInterrupt
-    return best, stop.is_set()
+    return found, stop.is_set()
 
 
 def _quality(seconds: float, reference: float, rooms: int, open_: int) -> str:

@@ -24,8 +24,7 @@ from planners.cars.reachability import ReachabilityPlanner
 from planners.cars.shortcuts import arc_path_of
 from planners.coverage import Coverage
 from planners.curve import Curve, join_curves
-from planners.joins.car_paths import CarPath, connect_cars
-from planners.joins.paths import MAX_GOALS
+from planners.joins.car_paths import CarPath, connect_car
 from planners.search.log_phases import PHASES, met
 from planners.search.motion_primitives import GEARS, car_primitives
 from planners.search.room_drive import RoomDrive
@@ -102,6 +101,8 @@ class PartialDrive:
         return replace(self, here=shorter.end, curves=(*first, shorter))
 
 
+MAX_GOALS = 400
+"""Maximum number of goals per query; the nearest ones are used."""
 MAX_IDLE_QUERIES = 12
 """Maximum number of successive queries that leave no fewer bins missing. A path from before the end of
 the drive may remove bins, so the number of missing bins can rise temporarily."""
@@ -292,16 +293,16 @@ class CarRepair:
 
     def _connect(self, start: Floats, goals: Floats, round_: int) -> CarPath | None:
         task = self.task
-        paths, joins = connect_cars(
-            start[None],
-            [goals],
+        path, joins = connect_car(
+            start,
+            goals,
             reach=task.reach,
             barriers=task.barriers,
             vehicle=task.vehicle,
             seed=task.seed + round_,
         )
         self.joins += joins
-        return paths[0]
+        return path
 
 
 def goals_in(missing: Bools, here: Floats, heading_offset: float, task: Task) -> tuple[Ints, Floats]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from planners import order
@@ -9,7 +11,7 @@ from planners.clearance import Barriers
 from planners.coverage import DWELL_PERIODS
 from planners.curve import CurveBuilder
 from planners.errors import PlanError
-from planners.joins.paths import join
+from planners.joins.paths import continued, join
 from planners.methods.spins import choose_departure
 from planners.order import CellGraph
 from planners.priority import cell_bands
@@ -26,8 +28,6 @@ NEAR_SHARE = 0.75
 """Share of the area required for reachability, above which cells are visited too: another raster may count them."""
 MAX_ROUNDS = 4
 """Maximum number of extra rounds for bins that a log may miss."""
-STEP_BACK = (1, 4, 16, 64)
-"""Numbers of stops to go back when no path leads on."""
 ZIGZAG = 0.22
 """Alternating lean of a lane's moves to the left and right, as a share of the width of a heading bin; each spin is
 shorter by twice that."""
@@ -63,6 +63,10 @@ def bins_to_visit(task: Task) -> Bools:
     return np.asarray(todo)
 
 
+Leg = tuple[Floats, Bools | None, str]
+"""End (2,) [m] of a leg, the headings (n_phi,) to turn through there (None: a corner), and its label."""
+
+
 class StopAndSpinPlanner:
     """Stop in every cell of `todo`, and leave each stop towards the next one."""
 
@@ -72,6 +76,8 @@ class StopAndSpinPlanner:
         width = 2 * np.pi / task.coverage.headings
         self.spin = width * task.rate / DWELL_PERIODS
         self.joins = JoinCounts()
+        self.lost: Bools = np.zeros_like(todo)
+        """(nx, ny, n_phi) bins to which no path was found."""
         self.builder: CurveBuilder | None = None
 
     def run(self) -> PlannedDrive:
@@ -86,8 +92,7 @@ class StopAndSpinPlanner:
             if np.array_equal(missing, before):
                 break
         assert self.builder is not None
-        self.builder.wait(1.0 / self.task.rate)
-        return PlannedDrive.of(self.builder, self.joins)
+        return replace(PlannedDrive.of(self.builder, self.joins), lost=self.lost)
 
     def _missed(self) -> Bools:
         """Return the bins (nx, ny, n_phi) that the log of at least one phase misses."""
@@ -102,11 +107,10 @@ class StopAndSpinPlanner:
         stops = zigzag(cells, sequence, self.task, self.clearance)
         here = self._here()
         ends = stops if here is None else np.concatenate([here[None, :2], stops])
-        paths, joins = join(self.task, ends[:-1], ends[1:])
         needs: list[Bools | None] = [todo[tuple(cells.index[k])] for k in sequence.tolist()]
         if here is not None:
             needs = [None, *needs]
-        self._add_stops(ends, needs, paths, joins)
+        self._add_stops(self._route(ends, needs, cells.index[sequence]))
 
     def _here(self) -> Floats | None:
         return self.task.start if self.builder is None else self.builder.pose
@@ -123,24 +127,24 @@ class StopAndSpinPlanner:
             found.append(members[_lanes(_subset(cells, members), last, self.task)])
         return np.concatenate(found)
 
-    def _add_stops(
-        self, ends: Floats, needs: list[Bools | None], paths: list[Floats | None], joins: JoinCounts
-    ) -> None:
-        """Add the stops one by one; each is left towards the next one that can be reached."""
-        route: list[tuple[Floats, Bools | None, str]] = [(ends[0], needs[0], "move")]
-        stuck = 0
-        for k, path in enumerate(paths):
-            if path is not None and not np.array_equal(path[0], route[-1][0]):
-                path = None  # the stop before was not reached
+    def _route(self, ends: Floats, needs: list[Bools | None], cells: Ints) -> list[Leg]:
+        """Return the legs through the stops `ends` (n, 2) to which a path is found; the others are lost."""
+        route: list[Leg] = [(ends[0], needs[0], "move")]
+        paths, joins = join(self.task, ends[:-1], ends[1:])
+        self.joins += joins
+        for k, planned in enumerate(paths):
+            path, more = continued(planned, ends[k], route[-1][0], ends[k + 1], self.task)
+            self.joins += more
             if path is None:
-                path = self._path_around([point for point, _, _ in route], ends[k + 1], stuck)
-            stuck = stuck + 1 if path is None else 0
-            if path is None:
+                self.lost[tuple(cells[k + 1 - len(ends)])] |= needs[k + 1]
                 continue
             label = "move" if len(path) == 2 else "join"
             route += [(corner, None, label) for corner in path[1:-1]]
             route.append((path[-1], needs[k + 1], label))
-        self.joins += joins
+        return route
+
+    def _add_stops(self, route: list[Leg]) -> None:
+        """Add the stops one by one; each is left towards the next one."""
         points = np.array([point for point, _, _ in route])
         roomy = self.task.barriers.are_clear(points[:-1], points[1:], self.clearance + BLEND_ROOM)
         roomy = np.concatenate([[False], roomy, [False]])
@@ -157,19 +161,7 @@ class StopAndSpinPlanner:
                 builder.move(departure.distance, route[k + 1][2], overlap=float(blend[k]))
             if self.task.progress and (k % 50 == 49 or k == len(route) - 1):
                 self.task.progress(k + 1, len(route))
-
-    def _path_around(self, route: list[Floats], target: Floats, stuck: int) -> Floats | None:
-        """Find another path to a stop; if the last stops were not reached either, go back along the route first."""
-        back = [0] if not stuck else [b for b in STEP_BACK if b < len(route)]
-        froms = np.array([route[-1 - b] for b in back])
-        paths, joins = join(self.task, froms, np.repeat(target[None], len(froms), axis=0))
-        for b, path in zip(back, paths, strict=True):
-            if path is not None:
-                self.joins += JoinCounts(
-                    direct=joins.direct, planned=joins.planned, planned_m=joins.planned_m
-                )
-                return np.concatenate([np.array(route[len(route) - b :][::-1]).reshape(-1, 2), path])
-        return None
+        builder.wait(1.0 / self.task.rate)
 
     def _first_pose(self, points: Floats) -> Floats:
         if self.task.start is not None:

@@ -11,7 +11,7 @@ from planners.errors import PlanError
 from planners.joins.paths import continued, join
 from planners.methods.stop_and_spin import standing_places
 from planners.task import PlannedDrive, Task
-from planners.types import Floats, Ints, Progress
+from planners.types import Floats, Progress
 
 
 def plan_views(task: Task) -> PlannedDrive:
@@ -28,7 +28,9 @@ def plan_views(task: Task) -> PlannedDrive:
     if task.targets is None or len(task.targets) == 0:
         raise PlanError("planner views needs poses to visit; give at least one")
     _check(task, task.targets)
-    targets = task.targets[_order(task, task.targets)]
+    floor = standing_places(task.reach, task.barriers, task.reach.cells()[:, :, None])
+    places, limits = task.targets[:, :2], task.vehicle.limits
+    targets = task.targets[order.visiting_order(floor, places, task.start, limits, task.seed)]
     start = targets[0] if task.start is None else task.start
     driven = drive_views(targets, start, task, task.progress)
     if driven is None:
@@ -44,7 +46,7 @@ def drive_views(
     paths, joins = join(task, ends[:-1], ends[1:])
     builder = CurveBuilder(here, task.vehicle.limits)
     for k, (view, leg) in enumerate(zip(views, paths, strict=True)):
-        path, more = continued(leg, builder.pose[:2], view[:2], task)
+        path, more = continued(leg, ends[k], builder.pose[:2], view[:2], task)
         joins += more
         if path is not None:
             builder.follow(path)
@@ -67,17 +69,3 @@ def _check(task: Task, targets: Floats) -> None:
             f"the robot cannot be at ({x:.2f}, {y:.2f}): it is outside, or less than {task.reach.clearance:.2f} m "
             "from a wall; choose another pose"
         )
-
-
-def _order(task: Task, targets: Floats) -> Ints:
-    """Order the poses (n, 3) by the travel times between their cells."""
-    if len(targets) == 1:
-        return np.zeros(1, dtype=np.int64)
-    limits = task.vehicle.limits
-    cells = standing_places(task.reach, task.barriers, task.reach.cells()[:, :, None])
-    points = targets[:, :2] if task.start is None else np.concatenate([targets[:, :2], task.start[None, :2]])
-    near = np.array([((cells.places - point) ** 2).sum(axis=1).argmin() for point in points])
-    cost = order.travel_times(cells, np.repeat(near, 2), limits.v, limits.v / limits.a)
-    first = None if task.start is None else 2 * len(targets)
-    tour = order.tour(cost, first, np.random.default_rng(task.seed))
-    return np.array([k for k, _ in tour if k < len(targets)], dtype=np.int64)

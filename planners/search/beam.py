@@ -13,10 +13,11 @@ bin. A node at or beyond the horizon, t(n') ≥ horizon, has a penalty:
 
     GOAL_PULL min(far[c], 1000) + OVERTIME (t(n') - horizon).
 
-Here far[c] is the number of cell borders to the nearest cell with a missing bin.
+Here far[c] is the number of cell borders to the nearest cell with a missing bin, and `horizon` the units of
+time of a full turn. With a longer horizon the search postpones near bins.
 
-Beam. For each t = 0 ... horizon - 1, the `width` nodes of highest score with different lattice keys are
-expanded, among the best 3 width nodes and ties. Of the nodes at or beyond the horizon, the result is the one
+Beam. For each t = 0 ... horizon - 1, the `beam_width` nodes of highest score with different lattice keys are
+expanded, among the best 3 beam_width nodes and ties. Of the nodes at or beyond the horizon, the result is the one
 of highest score whose end is safe: the robot can go on or stop.
 """
 
@@ -52,7 +53,8 @@ def _expand(node: int, layer: int, n_nodes: int, capacity: int, tables: SearchTa
     at, bins, fill = workspace.places, workspace.covered, workspace.pool_sizes
     covered = workspace.scratch.covered
     x, y, h, m = at[node, 0], at[node, 1], wide(workspace.headings[node]), wide(workspace.modes[node])
-    ny, n_phi = world.need.shape[1], world.need.shape[2]
+    ny, n_phi, horizon = world.need.shape[1], world.need.shape[2], len(primitives.offsets)
+    can_repeat = primitives.omega == 0.0 or horizon > n_phi  # else each bin has one primitive per turn
     for j in range(primitives.next_mode.shape[1]):
         if primitives.next_mode[m, j] < 0 or primitives.is_fine[m, j]:
             continue
@@ -64,9 +66,7 @@ def _expand(node: int, layer: int, n_nodes: int, capacity: int, tables: SearchTa
             continue
         gain, count = 0.0, 0
         for c in range(n_covered):
-            if settings.can_repeat and _is_covered(
-                node, covered[c], workspace.parents, workspace.n_covered, bins
-            ):
+            if can_repeat and _is_covered(node, covered[c], workspace.parents, workspace.n_covered, bins):
                 continue
             ci, ck = covered[c] // (n_phi * ny), (covered[c] // n_phi) % ny
             gain += world.value[ci, ck] * (
@@ -79,12 +79,10 @@ def _expand(node: int, layer: int, n_nodes: int, capacity: int, tables: SearchTa
         )
         workspace.parents[n_nodes], workspace.branches[n_nodes], workspace.n_covered[n_nodes] = node, j, count
         workspace.total_covered[n_nodes] = workspace.total_covered[node] + count
-        workspace.scores[n_nodes] = workspace.scores[node] + gain * (
-            1.0 - DISCOUNT / settings.horizon * layer
-        )
-        if later >= settings.horizon:
+        workspace.scores[n_nodes] = workspace.scores[node] + gain * (1.0 - DISCOUNT / horizon * layer)
+        if later >= horizon:
             away = min(cell_distance(at[n_nodes, 0], at[n_nodes, 1], world, workspace.far), 1000)
-            workspace.scores[n_nodes] -= GOAL_PULL * away + OVERTIME * (later - settings.horizon)
+            workspace.scores[n_nodes] -= GOAL_PULL * away + OVERTIME * (later - horizon)
         workspace.pool[later, fill[later]] = n_nodes
         fill[later] += 1
         n_nodes += 1
@@ -93,7 +91,7 @@ def _expand(node: int, layer: int, n_nodes: int, capacity: int, tables: SearchTa
 
 @outer_kernel
 def beam_search(state: Floats, tables: SearchTables) -> tuple[int, int]:
-    """Search `settings.horizon` units of time ahead with a beam; see the module docstring for score and beam.
+    """Search one full turn ahead with a beam; see the module docstring for score and beam.
 
     The branches of the best sequence with a safe end are written to `workspace.sequence`.
 
@@ -102,12 +100,12 @@ def beam_search(state: Floats, tables: SearchTables) -> tuple[int, int]:
     The number of branches, and the number of bins that they cover; 0, 0 if no end is safe.
     """
     settings, world, primitives, workspace = tables
-    horizon, most = settings.horizon, 3 * settings.width
-    capacity = beam_capacity_kernel(settings.width, primitives.next_mode.shape[1])
+    horizon, most = len(primitives.offsets), 3 * settings.beam_width
+    capacity = beam_capacity_kernel(settings.beam_width, primitives.next_mode.shape[1])
     at, scores, hs, ms = workspace.places, workspace.scores, workspace.headings, workspace.modes
     pool, fill, costs = workspace.pool, workspace.pool_sizes, workspace.costs
     slots = 4
-    while slots < 2 * settings.width + 2:
+    while slots < 2 * settings.beam_width + 2:
         slots *= 2
     fill[:] = 0
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
@@ -131,7 +129,7 @@ def beam_search(state: Floats, tables: SearchTables) -> tuple[int, int]:
             if find_slot(workspace.hash_keys, slots, workspace.stamp[0], workspace.hash_stamps, key) >= 0:
                 continue  # a better node has the same key
             kept += 1
-            if kept > settings.width:
+            if kept > settings.beam_width:
                 break
             n_nodes = _expand(node, layer, n_nodes, capacity, tables)
     n_leaves = 0
@@ -170,11 +168,11 @@ def drive(state: Floats, n: int, units: int, left: int, tables: SearchTables) ->
     -------
     The number of executed branches, and the number of bins `left`.
     """
-    settings, world, primitives, workspace = tables
+    _, world, primitives, workspace = tables
     spent, sequence = 0, workspace.sequence
     for k in range(n):
         if left == 0:
-            if settings.safe_depth >= 0 or state[3] == 0:
+            if primitives.safe_depth >= 0 or state[3] == 0:
                 return k, left
         elif spent >= units:
             return k, left

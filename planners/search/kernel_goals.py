@@ -14,14 +14,14 @@ def is_safe(x: float, y: float, h: int, m: int, tables: SearchTables) -> bool:
 
     Unsafe states are cached: in a dead end, each test takes thousands of tries.
     """
-    settings, world, primitives, workspace = tables
+    _, world, primitives, workspace = tables
     remembered = world.trapped.size > 1
     i, k = 0, 0
     if remembered:
         i, k = int((x - world.x0) / LATTICE), int((y - world.y0) / LATTICE)
         if world.trapped[i, k, h]:
             return False
-    safe = bool(find_escape(x, y, h, m, settings.safe_depth, world, primitives, workspace.scratch) >= 0)
+    safe = bool(find_escape(x, y, h, m, primitives.safe_depth, world, primitives, workspace.scratch) >= 0)
     if remembered:
         world.trapped[i, k, h] = not safe
     return safe

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
+from planners.search.motion_primitives import MotionPrimitives
 from planners.types import Bools, Floats, Int32s, Ints
 
 MAX_BINS_PER_PRIMITIVE = 3
@@ -63,26 +63,6 @@ class SearchWorld(NamedTuple):
     """(lx, ly, n_headings) lattice cells known to be unsafe; (1, 1, 1) if they are not cached."""
 
 
-class PrimitiveArrays(NamedTuple):
-    """Motion primitives by heading step and mode; see the fields of `motion_primitives.MotionPrimitives`."""
-
-    offsets: Floats
-    bins: NDArray[np.int16]
-    core: Bools
-    turned_steps: Ints
-    next_mode: Ints
-    cost: Ints
-    sample_period: Floats
-    is_fine: Bools
-    stops_first: Bools
-    heading_bin: NDArray[np.int16]
-    max_offset: float
-    """[m] largest distance from the middle sample of a primitive to another sample, plus two raster steps."""
-    max_cost: int
-    """[units of time] duration of the slowest primitive."""
-    core_margin: float
-
-
 class Scratch(NamedTuple):
     """Memory that the kernels write to; they allocate none themselves, which would cost run time and compile time."""
 
@@ -116,7 +96,14 @@ def interpolate(distance: Floats, i: int, k: int, a: float, b: float) -> float:
 
 @inlined_kernel
 def try_primitive(
-    x: float, y: float, h: int, m: int, j: int, world: SearchWorld, primitives: PrimitiveArrays, covered: Ints
+    x: float,
+    y: float,
+    h: int,
+    m: int,
+    j: int,
+    world: SearchWorld,
+    primitives: MotionPrimitives,
+    covered: Ints,
 ) -> tuple[bool, int]:
     """Return whether branch j is clear, and the number of bins that it covers; their indices are written to `covered`.
 
@@ -140,7 +127,9 @@ def try_primitive(
     k = int((y + offsets[h, m, j, middle, 1]) * per_step)
     if i < 0 or k < 0 or i >= mx or k >= my:
         return False, 0
-    if distance[i, k] < clearance + primitives.max_offset:  # otherwise no wall is near enough to matter
+    if (
+        distance[i, k] < clearance + primitives.max_offset + 2.0 * step
+    ):  # otherwise no wall is near enough to matter
         for s in range(n_samples + 1):
             u = (x + offsets[h, m, j, s, 0]) * per_step - 0.5
             v = (y + offsets[h, m, j, s, 1]) * per_step - 0.5
@@ -213,7 +202,7 @@ def try_primitive(
 
 @inlined_kernel
 def end_state(
-    x: float, y: float, h: int, m: int, j: int, primitives: PrimitiveArrays
+    x: float, y: float, h: int, m: int, j: int, primitives: MotionPrimitives
 ) -> tuple[float, float, int, int]:
     """Return the state after branch j."""
     offset = primitives.offsets[h, m, j, primitives.bins.shape[3]]
@@ -233,7 +222,7 @@ def find_escape(
     m: int,
     depth: int,
     world: SearchWorld,
-    primitives: PrimitiveArrays,
+    primitives: MotionPrimitives,
     scratch: Scratch,
 ) -> int:
     """Find a sequence of clear branches from a state: depth-first search, branches that slow down first.
@@ -299,7 +288,7 @@ def find_slot(table: Ints, size: int, stamp: int, marks: Ints, key: int) -> int:
 
 
 @inner_kernel
-def lattice_key(x: float, y: float, h: int, m: int, world: SearchWorld, primitives: PrimitiveArrays) -> int:
+def lattice_key(x: float, y: float, h: int, m: int, world: SearchWorld, primitives: MotionPrimitives) -> int:
     """Return the index of the lattice cell of a state."""
     i, k = int((x - world.x0) / LATTICE), int((y - world.y0) / LATTICE)
     return int(((i * 65536 + k) * primitives.offsets.shape[0] + h) * primitives.offsets.shape[1] + m)
@@ -320,7 +309,7 @@ def trace_back(node: int, parents: Int32s, branches: Int32s, out: Int32s) -> int
 
 @outer_kernel
 def apply_primitive(
-    state: Floats, j: int, world: SearchWorld, primitives: PrimitiveArrays, covered: Ints
+    state: Floats, j: int, world: SearchWorld, primitives: MotionPrimitives, covered: Ints
 ) -> int:
     """Execute branch j, remove the bins that it covers from the wanted ones, and return their number."""
     n_covered, ny, n_phi = 0, world.need.shape[1], world.need.shape[2]

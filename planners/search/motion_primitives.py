@@ -9,7 +9,7 @@ minimum radius or a straight piece, at constant speed; its modes are gears. Offs
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,7 @@ INNER_DWELL = 0.85
 """Minimum stay in the inner half of a bin, as a share of the log period; the path out of the bin takes the rest."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MotionPrimitives:
+class MotionPrimitives(NamedTuple):
     """Primitives by heading step, mode and branch (index of a primitive that leaves a mode)."""
 
     first_heading: float
@@ -72,13 +71,17 @@ class MotionPrimitives:
     """Safety of a state: this many primitives must be able to follow; negative: the robot must stop within as many."""
     omega: float
     """[rad/s] turn rate; 0 for cars."""
+    max_offset: float
+    """[m] largest distance from the middle sample of a primitive to another sample."""
+    max_cost: int
+    """[units of time] duration of the slowest primitive."""
     core_margin: float = 0.5
     """Number of samples subtracted at each end of a stay in the middle half of a bin, because its border may be crossed
     anywhere between two samples. It is 0 for slow sensors, for which stays are counted exactly."""
 
     @property
     def n_headings(self) -> int:
-        """Number of heading steps."""
+        """Number of heading steps; as many units of time take a full turn."""
         return len(self.offsets)
 
     def units(self, mode: int, branches: Int32s) -> int:
@@ -143,9 +146,17 @@ def spin_primitives(limits: Limits, headings: int, rate: float) -> MotionPrimiti
         stops_first=np.zeros(then.shape, dtype=np.bool_),
         heading_bin=which.astype(np.int16),
         safe_depth=-(n_levels + 2),
-        omega=omega,
+        omega=float(omega),
+        max_offset=_max_offset(offsets),
+        max_cost=1,
         core_margin=core_margin,
     )
+
+
+def _max_offset(offsets: Floats) -> float:
+    """Return the largest distance [m] from the middle sample of a primitive to another sample."""
+    apart = offsets - offsets[..., [SAMPLES // 2], :]
+    return float(np.hypot(*np.moveaxis(apart, -1, 0)).max())
 
 
 def _cut_bin(duration: float, rate: float) -> tuple[int, float, bool]:
@@ -244,15 +255,16 @@ def car_primitives(
         return np.ascontiguousarray(np.repeat(array[:, None], modes, axis=1))
 
     changes = gear[None, :] != np.arange(modes)[:, None]
+    cost = length[None, :] + pause * changes
     return MotionPrimitives(
-        first_heading=first,
+        first_heading=float(first),
         heading_step=unit_turn,
         offsets=every_mode(offsets),
         bins=every_mode(bins.astype(np.int16)),
         core=every_mode(core),
         turned_steps=np.tile(curve * length, (modes, 1)),
         next_mode=np.tile(gear, (modes, 1)),
-        cost=length[None, :] + pause * changes,
+        cost=cost,
         unit=unit,
         sample_period=np.tile(length * unit / SAMPLES, (modes, 1)),
         speeds=v * np.array(gears, dtype=np.float64),
@@ -261,4 +273,6 @@ def car_primitives(
         heading_bin=(np.floor(heading / width + 0.5).astype(np.int64) % headings).astype(np.int16),
         safe_depth=SAFE_DEPTH_REVERSING if len(gears) > 1 else SAFE_DEPTH_FORWARD,
         omega=0.0,
+        max_offset=_max_offset(offsets),
+        max_cost=int(cost.max()),
     )

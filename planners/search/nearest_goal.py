@@ -2,8 +2,8 @@
 
 State and branches are those of `beam`. With arrival time t(f(s, j)) = t(s) + cost[m, j], the states are
 expanded in order of t, from a ring of max_cost + 1 buckets (Dial's algorithm). Each lattice cell is visited
-once, so t is the shortest time at the resolution of the lattice. If a bucket holds more than `width` states,
-only the `width` nearest to a missing bin are expanded; the search is then incomplete. The first bucket that
+once, so t is the shortest time at the resolution of the lattice. If a bucket holds more than `width`
+states, only the `width` nearest to a missing bin are expanded; the search is then incomplete. The first bucket that
 holds a safe state whose last branch covers a bin ends the search.
 """
 
@@ -21,8 +21,7 @@ from planners.search.kernel_world import (
     try_primitive,
     wide,
 )
-from planners.search.settings import SearchSettings
-from planners.search.workspace import GOAL_CAPACITY, SearchTables
+from planners.search.workspace import GOAL_CAPACITY, GOAL_HORIZON, GOAL_MAX_STATES, SearchTables
 from planners.types import Floats
 
 
@@ -36,7 +35,7 @@ def _expand_nearest(
     -------
     The number of states, -1 if there are too many; and whether a child was dropped because its layer is full.
     """
-    settings, world, primitives, workspace = tables
+    _, world, primitives, workspace = tables
     at, fill, ring = workspace.places, workspace.pool_sizes, primitives.max_cost + 1
     x, y, h, m = at[node, 0], at[node, 1], wide(workspace.headings[node]), wide(workspace.modes[node])
     was_full = False
@@ -56,7 +55,7 @@ def _expand_nearest(
         ):
             continue
         later = (layer + primitives.cost[m, j]) % ring
-        if n_nodes >= settings.goal_max_states:
+        if n_nodes >= GOAL_MAX_STATES:
             return -1, was_full
         if fill[later] >= capacity:
             was_full = True
@@ -87,7 +86,7 @@ def nearest_goal_search(
     -------
     The number of branches; 0: no bin can be reached at this resolution; -1: the search gave up.
     """
-    settings, world, primitives, workspace = tables
+    _, world, primitives, workspace = tables
     at, hs, ms, gains = workspace.places, workspace.headings, workspace.modes, workspace.n_covered
     ring, capacity = primitives.max_cost + 1, width * GOAL_CAPACITY
     pool, fill, away = workspace.pool, workspace.pool_sizes, workspace.costs
@@ -96,7 +95,7 @@ def nearest_goal_search(
     at[0, 0], at[0, 1], hs[0], ms[0] = state[0], state[1], int(state[2]), int(state[3])
     workspace.parents[0], gains[0], pool[0, 0], fill[0] = -1, 0, 0, 1
     n_nodes, is_cut, waiting = fill[0], False, fill[0]
-    for layer in range(settings.goal_horizon):
+    for layer in range(GOAL_HORIZON):
         row = layer % ring
         here = fill[row]
         if waiting == 0:
@@ -133,13 +132,12 @@ def nearest_goal_search(
     return -1
 
 
-def find_nearest_goal(
-    state: Floats, tables: SearchTables, settings: SearchSettings, heuristic: HeuristicBuffers
-) -> int:
+def find_nearest_goal(state: Floats, tables: SearchTables, heuristic: HeuristicBuffers) -> int:
     """Search for the nearest missing bin, first guided by the cost-to-go map if the settings request it, then widely.
 
     The branches are written to `workspace.sequence`. The result is that of `nearest_goal_search`.
     """
+    settings = tables.settings
     if settings.guided_width > 0:
         update_heuristic(state, tables.world, heuristic)
         found = nearest_goal_search(state, tables, settings.guided_width, True, heuristic)

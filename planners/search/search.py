@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from planners.search.heuristic import HeuristicBuffers, heuristic_buffers
 from planners.search.kernel_goals import cell_distances
 from planners.search.kernel_world import (
     LATTICE,
-    PrimitiveArrays,
     SearchWorld,
     apply_primitive,
     find_escape,
@@ -31,8 +29,8 @@ from planners.search.kernel_world import (
 from planners.search.motion_primitives import INNER_DWELL, MotionPrimitives
 from planners.search.nearest_goal import find_nearest_goal, nearest_goal_search
 from planners.search.settings import SearchSettings
-from planners.search.workspace import SearchTables, beam_settings, workspace_for
-from planners.types import Bools, Floats, Int32s, Ints
+from planners.search.workspace import GOAL_HORIZON, SearchTables, workspace_for
+from planners.types import Bools, Floats, Int32s
 
 RETRY_DWELL = (1.3, 1.6)
 """Minimum stay [log periods] in bins that a log of some phase missed, at the first and the second retry."""
@@ -71,20 +69,6 @@ class SearchResult:
     """(n,) branches of the drive."""
     left: Bools
     """(nx, ny, n_phi) bins of the area that the drive does not cover."""
-
-
-class _Snapshot(NamedTuple):
-    """A state of the search to return to."""
-
-    state: Floats
-    """(4,) x, y [m], heading step, mode."""
-    need: Bools
-    """(nx, ny, n_phi) bins still wanted."""
-    missing: Ints
-    """(nx, ny) number of wanted bins in each cell."""
-    n_parts: int
-    seconds: float
-    """[s] driven; `n_parts`: number of parts driven."""
 
 
 class CoverageSearch:
@@ -128,7 +112,6 @@ class CoverageSearch:
         self._parts: list[Int32s] = []
         self.seconds = 0.0  # [s] driven so far
         self.given_up = np.zeros_like(need)
-        self._snapshots = [self._snapshot()]
 
     def want(self, need: Bools, dwell_factor: float = 1.0, *, inner: bool = True) -> None:
         """Set the bins to cover.
@@ -168,13 +151,11 @@ class CoverageSearch:
 
     def run(self, tick: Callable[[int], bool]) -> SearchStatus:
         """Drive until no bin is missing or reachable; `tick` gets the number of bins left, False ends the search."""
-        tables = self._tables()
-        heuristic, left = heuristic_buffers(self.settings, self.primitives, self.area), self.left
+        tables, left = self._tables(), self.left
+        heuristic = heuristic_buffers(self.settings, self.primitives, self.area)
         for decision in count():
-            if decision % DECISIONS_PER_TICK == 0:
-                if decision > 0 and not tick(left):
-                    break
-                self._snapshots = [*self._snapshots[-1:], self._snapshot()]
+            if decision > 0 and decision % DECISIONS_PER_TICK == 0 and not tick(left):
+                break
             status, left = self._decide(left, tables, heuristic)
             if status is not None:
                 tick(left)
@@ -195,10 +176,8 @@ class CoverageSearch:
 
     def _tables(self) -> SearchTables:
         """Return the input and the memory of the kernels."""
-        settings, primitives = beam_settings(self.settings, self.primitives), self.primitive_arrays()
-        shape = self.world.missing.shape
-        workspace = workspace_for(settings, self.settings.goal_width, primitives, shape)
-        return SearchTables(settings, self.world, primitives, workspace)
+        workspace = workspace_for(self.settings, self.primitives, self.world.missing.shape)
+        return SearchTables(self.settings, self.world, self.primitives, workspace)
 
     def _decide(
         self, left: int, tables: SearchTables, heuristic: HeuristicBuffers
@@ -212,13 +191,13 @@ class CoverageSearch:
         if left == 0:
             return SearchStatus.DONE, left
         settings, workspace = tables.settings, tables.workspace
-        state, units = self.state, settings.executed
+        state, units = self.state, max(round(settings.executed * self.primitives.n_headings), 1)
         cell_distances(tables.world, workspace.far, workspace.cell_queue)
         n, n_new = beam_search(state, tables)
         if n_new < min(MIN_BINS, left):
-            found = find_nearest_goal(state, tables, self.settings, heuristic)
+            found = find_nearest_goal(state, tables, heuristic)
             if found > 0:
-                n, units = found, settings.goal_horizon
+                n, units = found, GOAL_HORIZON
             elif n_new == 0:
                 return SearchStatus.UNREACHABLE if found == 0 else SearchStatus.GAVE_UP, left
         mode = int(state[3])
@@ -228,37 +207,15 @@ class CoverageSearch:
         return None, left
 
     def complete(self, tick: Callable[[int], bool]) -> None:
-        """Run until no more bins can be reached: give up cells that no path enters, and back out of dead ends."""
+        """Run until no more bins can be reached, and give up cells that no path enters."""
         for _ in range(MAX_SKIPPED_CELLS):
             status = self.run(tick)
             if status in (SearchStatus.STOPPED, SearchStatus.DONE):
                 return
             if status == SearchStatus.UNREACHABLE:
-                if not self._is_trapped():
-                    return
-                self._backtrack()
+                return
             if not self._skip_nearest_cell():
                 return
-
-    def _is_trapped(self) -> bool:
-        """Return whether no path leads from here back to the start cell."""
-        i, k = ((self.start[:2] - self.area.origin) / self.area.cell).astype(np.int64).tolist()
-        home = np.zeros_like(self.world.need)
-        home[i, k] = True
-        return_search = CoverageSearch(self.area, self.primitives, home, self.rate, settings=self.settings)
-        return_search.want(home, inner=False)
-        return_search.start_at(self.state)
-        return return_search.run(lambda _: False) == SearchStatus.UNREACHABLE
-
-    def _backtrack(self) -> None:
-        """Undo the last decisions, and give up the cell in which the robot was trapped."""
-        i, k = self._cell
-        snapshot = self._snapshots.pop(0)
-        self.state, self.seconds = snapshot.state, snapshot.seconds
-        self.world.need[:], self.world.missing[:] = snapshot.need, snapshot.missing
-        self._snapshots.clear()
-        del self._parts[snapshot.n_parts :]
-        self._give_up(i, k)
 
     def _skip_nearest_cell(self) -> bool:
         """Give up the nearest cell with a missing bin; False if no such cell is connected to this one."""
@@ -278,10 +235,6 @@ class CoverageSearch:
         self._give_up(i, k)
         return self.left > 0
 
-    def _snapshot(self) -> _Snapshot:
-        need, missing = self.world.need.copy(), self.world.missing.copy()
-        return _Snapshot(self.state.copy(), need, missing, len(self._parts), self.seconds)
-
     @property
     def _cell(self) -> tuple[int, int]:
         """Cell of the area in which the robot is."""
@@ -296,7 +249,7 @@ class CoverageSearch:
     def come_to_rest(self) -> bool:
         """Drive on until v is zero; the robot may still turn. False if no such sequence is found."""
         x, y, h, m = self.state.tolist()
-        primitives, scratch = self.primitive_arrays(), new_scratch(MAX_STOP_PRIMITIVES)
+        primitives, scratch = self.primitives, new_scratch(MAX_STOP_PRIMITIVES)
         n = find_escape(x, y, int(h), int(m), -MAX_STOP_PRIMITIVES, self.world, primitives, scratch)
         escape = scratch.escape[: max(n, 0)]
         for j in escape.tolist():
@@ -311,11 +264,3 @@ class CoverageSearch:
             sequence=np.concatenate([np.empty(0, dtype=np.int32), *self._parts]),
             left=self.world.need.copy(),
         )
-
-    def primitive_arrays(self) -> PrimitiveArrays:
-        """Return the primitives in the form that the kernels take."""
-        p = self.primitives
-        apart = p.offsets - p.offsets[..., [(p.offsets.shape[3] - 1) // 2], :]
-        farthest = float(np.hypot(*np.moveaxis(apart, -1, 0)).max()) + 2 * self.area.step
-        same = {name: getattr(p, name) for name in PrimitiveArrays._fields if hasattr(p, name)}
-        return PrimitiveArrays(**same, max_offset=farthest, max_cost=int(p.cost.max()))

@@ -1,4 +1,4 @@
-"""Inputs of the search kernels: settings in units of time, and the memory that they write to."""
+"""Inputs of the search kernels, and the memory that they write to."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from planners.kernel import inner_kernel
 from planners.search.kernel_world import (
     MAX_BINS_PER_PRIMITIVE,
-    PrimitiveArrays,
     Scratch,
     SearchWorld,
     new_scratch,
@@ -22,37 +21,8 @@ GOAL_CAPACITY = 8
 """Capacity of each unit of time in the search for the nearest bin, as a multiple of its width."""
 
 
-class BeamSettings(NamedTuple):
-    """What the kernels need of `settings.SearchSettings`, with times in units of the primitives."""
-
-    horizon: int
-    executed: int
-    width: int
-    safe_depth: int
-    """See `MotionPrimitives.safe_depth`."""
-    goal_horizon: int
-    goal_max_states: int
-    completion_weight: float
-    can_repeat: bool
-    """Whether a bin may be met twice within the horizon; a spinning robot meets each heading once per revolution."""
-
-
-def beam_settings(settings: SearchSettings, primitives: MotionPrimitives) -> BeamSettings:
-    """Return the settings in the primitives' units of time."""
-    s, unit = settings, primitives.unit
-    horizon = max(round(s.horizon / unit), 4)
-    return BeamSettings(
-        horizon=horizon,
-        executed=max(round(s.executed / unit), 1),
-        width=s.beam_width,
-        safe_depth=primitives.safe_depth,
-        goal_horizon=s.goal_horizon,
-        goal_max_states=s.goal_max_states,
-        completion_weight=s.completion_weight,
-        can_repeat=not (
-            primitives.omega and len(np.unique(primitives.heading_bin)) == primitives.n_headings >= horizon
-        ),
-    )
+GOAL_HORIZON, GOAL_MAX_STATES = 400, 300_000
+"""[units of time] horizon, and maximum number of states, of the search for the nearest bin."""
 
 
 class Workspace(NamedTuple):
@@ -104,9 +74,9 @@ class Workspace(NamedTuple):
 class SearchTables(NamedTuple):
     """What the kernels of a search read and write."""
 
-    settings: BeamSettings
+    settings: SearchSettings
     world: SearchWorld
-    primitives: PrimitiveArrays
+    primitives: MotionPrimitives
     workspace: Workspace
 
 
@@ -122,13 +92,14 @@ beam_capacity_kernel = inner_kernel(beam_capacity)
 
 
 def workspace_for(
-    settings: BeamSettings, goal_width: int, primitives: PrimitiveArrays, shape: tuple[int, ...]
+    settings: SearchSettings, primitives: MotionPrimitives, shape: tuple[int, ...]
 ) -> Workspace:
     """Return the memory of searches with these settings in an area of `shape` (nx, ny) cells."""
     n_branches = primitives.next_mode.shape[1]
-    layers = settings.horizon + primitives.max_cost + 1
-    capacity = max(beam_capacity(settings.width, n_branches), goal_width * GOAL_CAPACITY)
-    most = max(settings.goal_max_states, layers * beam_capacity(settings.width, n_branches))
+    layers = primitives.n_headings + primitives.max_cost + 1
+    in_beam = beam_capacity(settings.beam_width, n_branches)
+    capacity = max(in_beam, settings.goal_width * GOAL_CAPACITY)
+    most = max(GOAL_MAX_STATES, layers * in_beam)
     slots = 1 << int(np.ceil(np.log2(2 * most)))
     whole = np.empty((6, most), dtype=np.int32)
     return Workspace(
@@ -152,5 +123,5 @@ def workspace_for(
         sequence=np.empty(most, dtype=np.int32),
         far=np.empty(shape, dtype=np.int64),
         cell_queue=np.empty(shape[0] * shape[1], dtype=np.int64),
-        scratch=new_scratch(abs(settings.safe_depth)),
+        scratch=new_scratch(abs(primitives.safe_depth)),
     )
