@@ -168,31 +168,6 @@ def resize(
     return better
 
 
-@inner_kernel
-def shrink_best(
-    a: Floats, original: Floats, inside: Bools, locked: Bools, usable: Bools, rss: Floats, sets: Bools
-) -> bool:
-    """Remove one term from the best set of every size, largest first; return whether any size improved.
-
-    Parameters
-    ----------
-    inside : (m,) working memory
-    """
-    better = False
-    for size in range(len(rss) - 1, 1, -1):
-        if not np.isfinite(rss[size]):
-            continue
-        copy_mask(sets[size], inside)
-        sweep_from(a, original, inside)
-        i = best_removal(a, inside, locked)
-        if i >= 0:
-            sweep(a, i)
-            inside[i] = False
-            exchange_all(a, inside, locked, usable, EXCHANGES_PER_SIZE * len(rss))
-            better = keep_best(a, inside, size - 1, rss, sets) or better
-    return better
-
-
 @kernel
 def search_one(
     original: Floats,
@@ -219,7 +194,7 @@ def search_one(
     sets : (n_max + 1, m) Filled with these sets.
     """
     m, n_max = len(original) - 1, len(cost) - 1
-    a, inside, spare = np.empty((m + 1, m + 1)), np.empty(m, np.bool_), np.empty(m, np.bool_)
+    a, inside, tried = np.empty((m + 1, m + 1)), np.empty(m, np.bool_), np.empty(m, np.bool_)
     copy_mask(locked, inside)
     sweep_from(a, original, inside)
     keep_best(a, inside, size_of(inside), rss, sets)
@@ -230,11 +205,9 @@ def search_one(
             better = resize(a, inside, locked, usable, False, swap, rss, sets)
             sweep_from(a, original, inside)
             better = resize(a, inside, locked, usable, True, swap, rss, sets) or better
-            better = shrink_best(a, original, spare, locked, usable, rss, sets) or better
             if not better:
                 break
     if restart:
-        tried = spare
         for j in range(m):
             tried[j] = False
         while True:
