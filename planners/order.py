@@ -23,7 +23,7 @@ from planners.types import Floats, Ints
 from planners.vehicle import Limits
 
 KICKS = 60
-"""Number of random perturbations of a finished order; each is kept if it shortens the tour."""
+"""Number of perturbations of a finished order by one to three random swaps; each is kept if it shortens the tour."""
 MAX_MOVES = 4000
 """Maximum number of improving moves."""
 MANY_ENDS = 1000
@@ -126,8 +126,9 @@ def tour(cost: Floats, first: int | None, rng: np.random.Generator) -> list[tupl
         return [(int(a) // 2, bool(a % 2)) for a, _ in order.nodes]
     order.improve()
     best, least = order.nodes.copy(), order.total()
-    for _ in range(KICKS if n > 8 else 0):
-        order.kick(rng)
+    for trial in range(KICKS if n > 3 else 0):
+        for _ in range(1 + trial % 3):
+            order.kick(rng)
         order.improve()
         total = order.total()
         if total < least - 1e-9:
@@ -156,11 +157,8 @@ def sequence(cost: Floats, first: Floats | None) -> Ints:
     n = len(cost)
     ends = np.full((2 * n + 2, 2 * n + 2), FORBIDDEN)
     ends[1 : 2 * n : 2, 0 : 2 * n : 2] = cost
-    if first is None:
-        found = tour(ends[: 2 * n, : 2 * n], None, np.random.default_rng(0))
-    else:
-        ends[2 * n + 1, 0 : 2 * n : 2] = first
-        found = tour(ends, 2 * n, np.random.default_rng(0))
+    ends[2 * n + 1, 0 : 2 * n : 2] = 0.0 if first is None else first
+    found = tour(ends, 2 * n, np.random.default_rng(0))
     return np.array([k for k, _ in found if k < n], dtype=np.int64)
 
 
