@@ -125,9 +125,7 @@ class _Folds:
         total, count = np.zeros(len(sizes)), 0
         for held, moments in zip(self.held, self.moments, strict=True):
             known = np.flatnonzero(moments.count > 0)
-            picked = select(
-                moments.pick(terms=index, outputs=known), int(sizes[-1]), keep=["1"], refine=False
-            )
+            picked = select(moments.pick(terms=index, outputs=known), int(sizes[-1]), keep=["1"])
             for j, ray in enumerate(known.tolist()):
                 chosen = picked.chosen(j)
                 T = picked.inverse[j, : len(chosen), : len(chosen)]
