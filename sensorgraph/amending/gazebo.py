@@ -120,7 +120,7 @@ class GazeboSensor:
         values = {tag: self._added[tag][0] if tag in self._added else 0.0 for tag in ("mean", "stddev")}
         inner = "".join(f"<{tag}>{number_text(value)}</{tag}>" for tag, value in values.items())
         phrase = "; ".join(note(None, reason) for _, reason in self._added.values())
-        _insert_behind(at, f"<noise><type>gaussian</type>{inner}</noise>", phrase)
+        at.origin.add_behind(f"<noise><type>gaussian</type>{inner}</noise>", phrase)
 
     def _noise(self, tag: str, change: Callable[[float], float], reason: Why) -> None:
         ray = self._ray()
@@ -155,7 +155,7 @@ class GazeboSensor:
         if leaf is not None and leaf.text is not None:
             put(self.document, leaf.text, value, reason)
         elif parent.children:
-            _insert_behind(parent.children[-1], f"<{tag}>{number_text(value)}</{tag}>", note(None, reason))
+            parent.children[-1].origin.add_behind(f"<{tag}>{number_text(value)}</{tag}>", note(None, reason))
         else:
             raise CannotHoldError(f"its laser has no element for `<{tag}>`")
 
@@ -191,8 +191,8 @@ class DiffDrive:
                 if old is None or abs(old) > a["v_max"]:
                     put(self.document, leaf.text, value, why(a, "v_max"))
             else:
-                _insert_behind(
-                    plugin.children[-1], f"<{tag}>{number_text(value)}</{tag}>", note(None, why(a, "v_max"))
+                plugin.children[-1].origin.add_behind(
+                    f"<{tag}>{number_text(value)}</{tag}>", note(None, why(a, "v_max"))
                 )
 
     def _scale(self, tags: Sequence[str], a: Amendment) -> None:
@@ -226,9 +226,3 @@ def _same_fan(stated: tuple[float, float, float], laser: MeasuredLaser) -> bool:
         and abs(first - laser.angle_min) < SAME_ANGLE
         and abs(last - laser.angle_max) < SAME_ANGLE
     )
-
-
-def _insert_behind(node: Node, text: str, phrase: str) -> None:
-    """Insert an element on a separate line, behind another one with the same indentation."""
-    file, end = node.origin.file, node.origin.end
-    file.insert(end, f"{file.newline}{file.indent(node.origin.start)}{text}", phrase)

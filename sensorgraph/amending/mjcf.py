@@ -17,7 +17,6 @@ from sensorgraph.amending.gazebo import choose
 from sensorgraph.amending.mjcf_defaults import default_of
 from sensorgraph.amending.mjcf_frames import (
     ORIENTATIONS,
-    add_attribute,
     numbers_of,
     own_rotation,
     turn_frame,
@@ -131,7 +130,7 @@ class _MjcfModel:
                 shift(self.document, numbers_of(frame, "pos", 3), a, parent)
             else:
                 moved = " ".join(number_text(change) for change, _ in shift_of(a, parent))
-                add_attribute(frame, "pos", moved, note(None, why(a, "dx")))
+                frame.origin.add_attribute("pos", moved, note(None, why(a, "dx")))
 
     def turn(self, a: Amendment) -> None:
         """Turn the laser."""
@@ -175,7 +174,7 @@ class _MjcfModel:
                 continue
             kind = str(default_of(self.document, actuator, "dyntype") or "none")
             if actuator.tag == "position" and a["tau"] > 0:
-                add_attribute(actuator, "timeconst", number_text(a["tau"]), note(None, why(a, "tau")))
+                actuator.origin.add_attribute("timeconst", number_text(a["tau"]), note(None, why(a, "tau")))
             elif actuator.tag != "general" or kind not in ("none", "filter", "filterexact"):
                 raise CannotHoldError(
                     f"an actuator `{actuator.tag}`{f' with dyntype {kind}' if kind != 'none' else ''} has no time constant; "
@@ -184,7 +183,7 @@ class _MjcfModel:
             elif kind == "none":
                 if a["tau"] > 0:
                     text = f'filterexact" dynprm="{number_text(a["tau"])}'
-                    add_attribute(actuator, "dyntype", text, note(None, why(a, "tau")))
+                    actuator.origin.add_attribute("dyntype", text, note(None, why(a, "tau")))
             else:
                 prm = default_of(self.document, actuator, "dynprm")
                 if prm is None or not prm.tokens():
@@ -220,7 +219,7 @@ class _MjcfModel:
                     put(self.document, history, steps, Why(cause=f"history of {number_text(total)} s"))
             else:
                 text = f'{number_text(total)}" nsample="{steps}'
-                add_attribute(node, "delay", text, f"{note(None, why(a, parameter))}; {DELAY_SINCE}")
+                node.origin.add_attribute("delay", text, f"{note(None, why(a, parameter))}; {DELAY_SINCE}")
 
     def cutoff(self, value: float, reason: Why) -> None:
         """Write the longest range of the rangefinders."""
@@ -230,7 +229,7 @@ class _MjcfModel:
             if "cutoff" in one.attributes:
                 put(self.document, one.attributes["cutoff"], value, reason)
             else:
-                add_attribute(one, "cutoff", number_text(value), note(None, reason))
+                one.origin.add_attribute("cutoff", number_text(value), note(None, reason))
 
     def _resize(self, wheels: list[tuple[Node, float]], reason: Why) -> None:
         """Change the radii of wheels, and lower or raise their axles so that they touch the same floor."""

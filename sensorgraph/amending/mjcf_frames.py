@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sensorgraph.amending.findings import CannotHoldError, why
 from sensorgraph.amending.numbers import put
-from sensorgraph.amending.place import known, turned
+from sensorgraph.amending.place import SMALL, angles_of, known, turned
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
@@ -19,8 +17,6 @@ from sensorgraph.types import Floats
 
 ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 """Attributes of which one states an orientation."""
-SMALL = 1e-9
-"""Part of a rotation below which it is zero."""
 
 
 def turn_frame(
@@ -55,10 +51,12 @@ def turn_frame(
     elif name == "axisangle":
         _put_axisangle(document, frame, a, matrix, unit)
     else:
-        angles = _euler(matrix, order)
+        if order not in (order.lower(), order.upper()):
+            raise CannotHoldError(f"its angles are in the mixed order {order}")
+        angles = angles_of(matrix, order.swapcase())  # SciPy's capitals turn
         if not name:
             text = " ".join(number_text(one / unit) for one in angles)
-            add_attribute(frame, "euler", text, note(None, reason))
+            frame.origin.add_attribute("euler", text, note(None, reason))
             return
         for value, angle in zip(numbers_of(frame, "euler", 3), angles, strict=True):
             before = known(value) * unit
@@ -79,22 +77,6 @@ def _put_axisangle(document: Document, frame: Node, a: Amendment, matrix: Floats
         before = along / unit
     change = math.remainder(along - before * unit, 2 * math.pi)
     put(document, values[3], before + change / unit, why(a, "delta", per=1 / unit))
-
-
-def _euler(matrix: Floats, order: str) -> list[float]:
-    """Return the angles (3,) [rad] of a rotation (3, 3).
-
-    Raises
-    ------
-    CannotHoldError : The order mixes turning and fixed axes.
-    """
-    if order not in (order.lower(), order.upper()):
-        raise CannotHoldError(f"its angles are in the mixed order {order}")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Gimbal lock")  # the third angle is then zero
-        sequence: Any = order.swapcase()  # SciPy's capitals turn
-        angles = Rotation.from_matrix(matrix).as_euler(sequence)
-    return [0.0 if abs(one) < SMALL else float(one) for one in angles]
 
 
 def own_rotation(frame: Node, unit: float, order: str) -> Floats:
@@ -145,11 +127,3 @@ def numbers_of(node: Node, name: str, n: int) -> list[Value]:
     if len(values) < n:
         raise CannotHoldError(f"`{name}` of `{node.get('name')}` has {len(values)} numbers; expected {n}")
     return values[:n]
-
-
-def add_attribute(node: Node, name: str, text: str, phrase: str) -> None:
-    """Add an attribute to an element."""
-    element, file = node.origin, node.origin.file
-    is_empty = file.data[element.head_end - 2 : element.head_end] == b"/>"
-    at = element.head_end - (2 if is_empty else 1)
-    file.insert(at, f' {name}="{text}"', phrase, element.head_end)

@@ -131,11 +131,8 @@ def _is_proportional(value: Value, bound: Value, base: float, old: float) -> boo
 def _put_at(document: Document, bound: Value, new: float, why: Why) -> None:
     """Write the value of a name: at its definition, or as an argument of the one call that relies on the default."""
     if bound.call is not None and document.calls.get(bound.call.tag.removeprefix("xacro:"), 0) > 1:
-        call = bound.call
-        is_empty = call.file.data[call.head_end - 2 : call.head_end] == b"/>"
-        at = call.head_end - (2 if is_empty else 1)
-        text = f' {bound.name}="{number_text(new)}"'
-        call.file.insert(at, text, note(_shown(bound, number(bound)), why), call.head_end)
+        phrase = note(_shown(bound, number(bound)), why)
+        bound.call.add_attribute(bound.name, number_text(new), phrase)
         return
     put(document, bound, new, why)
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sensorgraph.amending.findings import CannotHoldError, why
 from sensorgraph.amending.numbers import number, put
@@ -16,34 +19,22 @@ from sensorgraph.types import Floats
 
 SAME = 1e-6
 """[m, rad] Change of a coordinate below which it is not written."""
+SMALL = 1e-9
+"""Part of a rotation below which it is zero."""
 
 
 def rotation(rpy: Sequence[float]) -> Floats:
     """Return the matrix (3, 3) of fixed-axis roll, pitch and yaw [rad]."""
-    roll, pitch, yaw = rpy
-    return about_z(yaw) @ _about(1, pitch) @ _about(0, roll)
+    return Rotation.from_euler("xyz", rpy).as_matrix()
 
 
-def about_z(angle: float) -> Floats:
-    """Return the matrix (3, 3) of a turn about z [rad]."""
-    return _about(2, angle)
-
-
-def _about(axis: int, angle: float) -> Floats:
-    out, (i, j) = np.eye(3), [(1, 2), (2, 0), (0, 1)][axis]
-    out[i, i] = out[j, j] = math.cos(angle)
-    out[i, j], out[j, i] = -math.sin(angle), math.sin(angle)
-    return out
-
-
-def rpy_of(matrix: Floats) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw [rad] of a matrix (3, 3)."""
-    pitch = math.asin(max(-1.0, min(1.0, -float(matrix[2, 0]))))
-    return (
-        math.atan2(float(matrix[2, 1]), float(matrix[2, 2])),
-        pitch,
-        math.atan2(float(matrix[1, 0]), float(matrix[0, 0])),
-    )
+def angles_of(matrix: Floats, axes: str = "xyz") -> list[float]:
+    """Return the angles (3,) [rad] of a rotation (3, 3), about fixed axes (small letters) or turning ones (capitals)."""
+    order: Any = axes
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Gimbal lock")  # the third angle is then zero
+        angles = Rotation.from_matrix(matrix).as_euler(order)
+    return [0.0 if abs(one) < SMALL else float(one) for one in angles]
 
 
 def shift_of(a: Amendment, parent: Floats) -> list[tuple[float, Why]]:
@@ -83,7 +74,7 @@ class NewPose:
 
     def turn(self, a: Amendment, parent: Floats) -> None:
         """Turn it by `mount_yaw`."""
-        self.rpy = list(rpy_of(turned(rotation(self.rpy or [0.0, 0.0, 0.0]), a["delta"], parent)))
+        self.rpy = angles_of(turned(rotation(self.rpy or [0.0, 0.0, 0.0]), a["delta"], parent))
         self.phrases.append(note(None, why(a, "delta")))
 
 
@@ -116,7 +107,7 @@ def turn(document: Document, rpy: Sequence[Value], a: Amendment, parent: Floats,
     CannotHoldError : An angle uses names that no given file sets.
     """
     old = [known(value) * unit for value in rpy]
-    new = rpy_of(turned(rotation(old), a["delta"], parent))
+    new = angles_of(turned(rotation(old), a["delta"], parent))
     for value, before, after in zip(rpy, old, new, strict=True):
         change = math.remainder(after - before, 2 * math.pi)
         if abs(change) > SAME:
@@ -125,7 +116,7 @@ def turn(document: Document, rpy: Sequence[Value], a: Amendment, parent: Floats,
 
 def turned(matrix: Floats, angle: float, parent: Floats) -> Floats:
     """Return a rotation (3, 3) in its parent after a turn [rad] about the z axis of base_link."""
-    return np.asarray(parent.T @ about_z(angle) @ parent @ matrix)
+    return np.asarray(parent.T @ rotation([0.0, 0.0, angle]) @ parent @ matrix)
 
 
 def known(value: Value) -> float:

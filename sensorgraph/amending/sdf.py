@@ -205,11 +205,9 @@ class _SdfModel:
         """Add a pose to the laser that had none, if an effect moved it."""
         if self._new.phrases and self.sensor is not None:
             first = self.sensor.sensor.children[0].origin
-            file = first.file
             zero = [0.0, 0.0, 0.0]
             text = numbers_text([*(self._new.xyz or zero), *(self._new.rpy or zero)])
-            inserted = f"{file.newline}{file.indent(first.start)}<pose>{text}</pose>"
-            file.insert(first.end, inserted, "; ".join(self._new.phrases))
+            first.add_behind(f"<pose>{text}</pose>", "; ".join(self._new.phrases))
 
 
 def _place_included(document: Document) -> None:

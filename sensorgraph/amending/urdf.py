@@ -127,11 +127,15 @@ class _UrdfModel:
     def finish(self) -> None:
         """Add what an origin lacks, or the origin."""
         for joint, pose in self._new.items():
-            parts = [
-                (name, value) for name, value in (("xyz", pose.xyz), ("rpy", pose.rpy)) if value is not None
-            ]
-            text = " ".join(f'{name}="{numbers_text(value)}"' for name, value in parts)
-            _add_origin(joint, joint.child("origin"), text, "; ".join(pose.phrases))
+            origin, phrase = joint.child("origin"), "; ".join(pose.phrases)
+            lacks = {"xyz": pose.xyz, "rpy": pose.rpy}
+            parts = {name: numbers_text(value) for name, value in lacks.items() if value is not None}
+            if origin is None:
+                text = " ".join(f'{name}="{value}"' for name, value in parts.items())
+                joint.children[-1].origin.add_behind(f"<origin {text}/>", phrase)
+                continue
+            for name, value in parts.items():
+                origin.origin.add_attribute(name, value, phrase)
 
     def radius(self, a: Amendment) -> None:
         """Write the true radius of the wheels: without a plugin, only the geometry has one."""
@@ -236,15 +240,3 @@ def _three(origin: Node, name: str) -> list[Value]:
     if len(values) != 3:
         raise CannotHoldError(f"`{name}` of an origin has {len(values)} numbers; expected 3")
     return values
-
-
-def _add_origin(joint: Node, origin: Node | None, text: str, phrase: str) -> None:
-    """Add attributes to an origin, or an origin with them to a joint."""
-    element = joint.children[-1].origin if origin is None else origin.origin
-    file = element.file
-    if origin is None:
-        file.insert(element.end, f"{file.newline}{file.indent(element.start)}<origin {text}/>", phrase)
-        return
-    is_empty = file.data[element.head_end - 2 : element.head_end] == b"/>"
-    at = element.head_end - (2 if is_empty else 1)
-    file.insert(at, f" {text}", phrase, element.head_end)

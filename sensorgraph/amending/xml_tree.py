@@ -30,6 +30,17 @@ class Element:
     """Span of the text without white space around it; None without text."""
     children: list[Element] = field(default_factory=list)
 
+    def add_attribute(self, name: str, text: str, phrase: str) -> None:
+        """Add an attribute to the start tag."""
+        is_empty = self.file.data[self.head_end - 2 : self.head_end] == b"/>"
+        at = self.head_end - (2 if is_empty else 1)
+        self.file.insert(at, f' {name}="{text}"', phrase, self.head_end)
+
+    def add_behind(self, text: str, phrase: str) -> None:
+        """Insert an element on a separate line, behind this one and with its indentation."""
+        file = self.file
+        file.insert(self.end, f"{file.newline}{file.indent(self.start)}{text}", phrase)
+
 
 def parse_xml(file: TextFile) -> Element:
     """Return the root element of a file.
