@@ -13,6 +13,7 @@ from sensorgraph.effects.exposures import blind_walls
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import ends_of_part, part_of_wall
 from sensorgraph.effects.proposals import (
+    LOSS_LEFTOVERS,
     PROPOSAL,
     best_first,
     best_run,
@@ -20,7 +21,6 @@ from sensorgraph.effects.proposals import (
     sharpen_part,
     sum_by_wall,
 )
-from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Floats
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.scene import Scene

@@ -10,8 +10,9 @@ import numpy as np
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import UNEXPECTED, blind_walls
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
-from sensorgraph.effects.places import ends_of_part, part_of_wall, seen_without
+from sensorgraph.effects.places import ends_of_part, part_of_wall, seen_without, walls_of
 from sensorgraph.effects.proposals import (
+    LOSS_LEFTOVERS,
     PROPOSAL,
     best_first,
     best_part,
@@ -20,10 +21,8 @@ from sensorgraph.effects.proposals import (
     strange_on_walls,
 )
 from sensorgraph.effects.set_up import third_of_map_error, wall_direction_error
-from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.beams import Beams
-from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.scene import RIGHT_ANGLE, Scene
 
 
@@ -41,7 +40,8 @@ def pass_through(scene: Scene, beams: Beams, *, a: Amendment) -> None:
     if a["depth"] > 0:
         behind = beams.ranges + a["depth"] / np.maximum(beams.cosine, 0.02)
     else:
-        behind = seen_without(scene, beams, through, a.place)
+        behind = np.full(beams.ranges.shape, np.inf)
+        behind[through] = seen_without(scene.walls, walls_of(scene, a.place), beams, through)
     beams.ranges = np.where(through, behind, beams.ranges)
     beams.reading = beams.ranges.copy()
     beams.bent()[through] = False
@@ -71,16 +71,10 @@ def _panes(residuals: Residuals, wall: int, mine: Bools) -> list[Proposal]:
         depths.append(float(np.median(d[near])))
     else:
         depths.append(50.0)
-    walls = residuals.walls.copy()
-    walls[wall] = 1e9
-    ox = np.broadcast_to(residuals.beams.ox, residuals.z.shape)[mine]
-    oy = np.broadcast_to(residuals.beams.oy, residuals.z.shape)[mine]
-    behind, _ = nearest_from_each(
-        walls, ox[:, None], oy[:, None], residuals.beams.ux[mine][:, None], residuals.beams.uy[mine][:, None]
-    )
+    behind = seen_without(residuals.walls, np.array([wall]), residuals.beams, mine)
     best: Proposal | None = None
     for depth in depths:
-        seen = mu + depth / np.maximum(cosine, 0.02) if depth > 0 else behind[:, 0]
+        seen = mu + depth / np.maximum(cosine, 0.02) if depth > 0 else behind
         through = residuals.likely(seen, mine) - log_p
         for alpha in np.radians([0.0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75]):
             gain = np.where(incidence >= alpha, through, 0.0)

@@ -8,9 +8,8 @@ import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
-from sensorgraph.effects.proposals import cut_off, within_range
+from sensorgraph.effects.proposals import LOSS_LEFTOVERS, cut_off, within_range
 from sensorgraph.effects.set_up import wall_direction_error
-from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.scene import RIGHT_ANGLE, Scene, fade
 
 BLUR = 0.003  # [rad] width of the transition

@@ -12,13 +12,13 @@ from sensorgraph.effects.exposures import UNEXPECTED, blind_walls
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import ends_of_part, part_of_wall, reflected
 from sensorgraph.effects.proposals import (
+    LOSS_LEFTOVERS,
     best_first,
     best_part,
     on_part_of_wall,
     sharpen_part,
     strange_on_walls,
 )
-from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.scene import Scene
 

@@ -9,9 +9,8 @@ import numpy as np
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect
 from sensorgraph.effects.exposures import UNEXPECTED, listed
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
-from sensorgraph.effects.places import named_walls, obstacles, walls_of
+from sensorgraph.effects.places import named_walls, obstacles, seen_without, walls_of
 from sensorgraph.effects.proposals import PROPOSAL, strangest_obstacles
-from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.scene import Scene
 
 
@@ -23,19 +22,14 @@ def transform(scene: Scene, a: Amendment) -> None:
 def propose(residuals: Residuals) -> list[Proposal]:
     """Search for rays that measure the surface behind an obstacle of the map."""
     found = []
-    walls, beams, shape = residuals.walls, residuals.beams, residuals.z.shape
     for name in strangest_obstacles(residuals, residuals.long | residuals.lost):
         members = named_walls(residuals.arena, name)
-        mine = np.isin(beams.wall, members)
+        mine = np.isin(residuals.beams.wall, members)
         if mine.sum() < PROPOSAL.min_rays:
             continue
-        bare = walls.copy()
-        bare[members] = 1e9
-        ox = np.broadcast_to(beams.ox, shape)[mine][:, None]
-        oy = np.broadcast_to(beams.oy, shape)[mine][:, None]
-        behind, _ = nearest_from_each(bare, ox, oy, beams.ux[mine][:, None], beams.uy[mine][:, None])
-        gain = float((residuals.likely(behind[:, 0], mine) - residuals.log_p[mine]).sum())
-        centre = walls[members].reshape(-1, 2).mean(axis=0)
+        behind = seen_without(residuals.walls, members, residuals.beams, mine)
+        gain = float((residuals.likely(behind, mine) - residuals.log_p[mine]).sum())
+        centre = residuals.walls[members].reshape(-1, 2).mean(axis=0)
         found.append(Proposal(values={}, gain=gain, place=name, xy=centre))
     return found
 

@@ -107,22 +107,14 @@ def outward(arena: Arena, indices: Ints) -> Floats:
     return np.where(inward[:, None], -normals, normals)
 
 
-def seen_without(scene: Scene, beams: Beams, some: Bools, name: str) -> Floats:
-    """Return the ranges (n_scans, n_rays) [m] of rays `some` without a wall; inf for other rays.
-
-    Raises
-    ------
-    SensorgraphError : The arena has no such wall.
-    """
-    walls = scene.walls.copy()
-    walls[walls_of(scene, name)] = 1e9
-    behind = np.full(beams.ranges.shape, np.inf)
+def seen_without(walls: Floats, hidden: Ints, beams: Beams, some: Bools) -> Floats:
+    """Return the ranges (n,) [m] of rays `some` without some walls."""
     ox, oy = (np.broadcast_to(o, beams.ranges.shape)[some] for o in (beams.ox, beams.oy))
+    others = np.delete(walls, hidden, axis=0)
     ranges, _ = nearest_from_each(
-        walls, ox[:, None], oy[:, None], beams.ux[some][:, None], beams.uy[some][:, None]
+        others, ox[:, None], oy[:, None], beams.ux[some][:, None], beams.uy[some][:, None]
     )
-    behind[some] = ranges[:, 0]
-    return behind
+    return np.asarray(ranges[:, 0])
 
 
 def reflected(walls: Floats, beams: Beams, some: Bools) -> Floats:

@@ -36,6 +36,10 @@ class ProposalSettings:
 
 PROPOSAL = ProposalSettings()
 """The settings in use."""
+LOSS_LEFTOVERS = dict.fromkeys(
+    ("glass", "mirror", "black_surface", "incidence_dropout", "people", "random_outliers"), 0.03
+)
+"""Remainders at the rim of effects that lose or bend groups of rays, as shares of their gain."""
 
 
 def best_run(values: Floats) -> tuple[Ints, Ints, Floats]:

@@ -10,9 +10,8 @@ from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import UNEXPECTED
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
 from sensorgraph.effects.places import in_sector
-from sensorgraph.effects.proposals import half_spacing
+from sensorgraph.effects.proposals import LOSS_LEFTOVERS, half_spacing
 from sensorgraph.effects.set_up import between_rays, range_bias
-from sensorgraph.effects.shared import LOSS_LEFTOVERS
 from sensorgraph.types import Bools, Ints
 from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene

@@ -9,8 +9,7 @@ import numpy as np
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.exposures import UNEXPECTED
 from sensorgraph.effects.interfaces import Exposure, Proposal, Residuals
-from sensorgraph.effects.proposals import PROPOSAL
-from sensorgraph.effects.shared import LOSS_LEFTOVERS
+from sensorgraph.effects.proposals import LOSS_LEFTOVERS, PROPOSAL
 from sensorgraph.types import Floats
 from sensorgraph.world.ray_order import is_full_turn
 from sensorgraph.world.scene import Scene
