@@ -222,7 +222,7 @@ def answers(channel: str, cases: list[tuple[Run, str, str]]) -> list[str]:
             scan = diagnose(run, geojson.loads(arena), robot, plan_next=False).channels["scan"]
             results = [scan]
         else:
-            results = list(diagnose_motion(run, robot, (), 0))
+            results = list(diagnose_motion(run, robot, ()))
         out.append(_said(results))
     return out
 

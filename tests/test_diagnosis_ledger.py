@@ -194,7 +194,7 @@ def test_a_channel_that_tried_nothing_says_why() -> None:
 
 def test_wheels_and_motors_are_explained_too() -> None:
     run = make_run(3, radius=0.03, lag=0.08)
-    odometry, drive = diagnose_motion(run, ROBOT, (), 0)
+    odometry, drive = diagnose_motion(run, ROBOT, ())
     ledger = ledger_of({"odometry": odometry, "drive": drive})
     (radius,), (lag,), (base,) = (ledger.of(name) for name in ("wheel_radius", "actuator_lag", "wheel_base"))
     assert radius.verdict is lag.verdict is Verdict.NAMED

@@ -147,7 +147,7 @@ def test_wheels_of_two_sizes_under_a_base_that_obeys_its_odometry_are_no_turn_of
     run = make_run(8, diff=0.06)
     turns = np.outer(run.commands[:, 0], [0.0, 0.06 / BASE])
     told = run.commands + turns if obeys == "odometry" else run.commands
-    odometry, drive = diagnose_motion(replace(run, commands=told), ROBOT, (), 0)
+    odometry, drive = diagnose_motion(replace(run, commands=told), ROBOT, ())
     assert [a.name for a in odometry.effects] == ["wheel_radius_diff"]
     assert drive.effects == () and drive.unknown is None
 
@@ -173,7 +173,7 @@ def test_a_gain_that_wheels_make_which_are_counted_wrongly_is_no_gain_of_the_bas
     """Either the base does what it is told by its odometry, or the odometry alone is wrong."""
     run = make_run(8, radius=0.12)
     told = run.commands * 1.12 if obeys == "odometry" else run.commands
-    odometry, drive = diagnose_motion(replace(run, commands=told), ROBOT, (), 0)
+    odometry, drive = diagnose_motion(replace(run, commands=told), ROBOT, ())
     assert [a.name for a in odometry.effects] == ["wheel_radius"]
     assert drive.effects == () and drive.unknown is None
 
@@ -275,7 +275,7 @@ def test_wheels_that_misread_at_speed_are_no_saturation() -> None:
     assert wheels.unknown is not None and wheels.motion is not None
     alone = diagnose_drive(misread, ROBOT, use_clock=False)  # it looks like one, with nothing known of wheels
     assert alone.effects or alone.withdrawn
-    _, drive = diagnose_motion(misread, ROBOT, (), 0)
+    _, drive = diagnose_motion(misread, ROBOT, ())
     assert drive.effects == () and "speed_saturation" in drive.not_observable
 
 

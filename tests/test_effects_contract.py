@@ -19,7 +19,7 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.effects import EFFECTS, Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import MotorMotion, MotorRegressor, WheelMotion, WheelRegressor
+from sensorgraph.effects.interfaces import DrivenMotion, Regressor
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot, Tolerances, parse_robot
 from sensorgraph.world.scene import Scene, draw_readings
@@ -155,14 +155,14 @@ def test_it_is_not_found_where_it_is_not(
 # further effects of wheels and motors -----------------------------------------------------------------------------------
 
 
-def shorter_in_turns(motion: WheelMotion) -> tuple[Floats, Floats]:
+def shorter_in_turns(motion: DrivenMotion) -> tuple[Floats, Floats]:
     """Let the body fall short of the wheels for every radian it turns."""
     return -np.abs(motion.turn), np.zeros_like(motion.turn)
 
 
-def slower_in_turns(motion: MotorMotion) -> tuple[Floats, Floats]:
+def slower_in_turns(motion: DrivenMotion) -> tuple[Floats, Floats]:
     """Let the motors lose speed while they turn."""
-    return -motion.v * np.abs(motion.omega), np.zeros_like(motion.v)
+    return -motion.distance * np.abs(motion.turn), np.zeros_like(motion.turn)
 
 
 SCRUB = Effect(
@@ -178,9 +178,7 @@ SCRUB = Effect(
     transform=lambda drivetrain, a: None,
     diagnostics=Diagnostics(
         why_unseen="too little turning",
-        wheel_regressor=WheelRegressor(
-            column=shorter_in_turns, tolerance=0.0005, size=lambda coefficient, gain: coefficient
-        ),
+        regressor=Regressor(column=shorter_in_turns, tolerance=0.0005),
     ),
 )
 SAG = Effect(
@@ -196,7 +194,7 @@ SAG = Effect(
     transform=lambda drivetrain, a: None,
     diagnostics=Diagnostics(
         why_unseen="too little turning at speed",
-        motor_regressor=MotorRegressor(column=slower_in_turns, tolerance=0.005),
+        regressor=Regressor(column=slower_in_turns, tolerance=0.005),
     ),
 )
 FURTHER_MOTION = [(SCRUB, {"scrub": 0.01}, 0.01), (SAG, {"sag": 0.2}, 0.2)]

@@ -35,7 +35,7 @@ def test_nothing_is_named_where_nothing_is_hidden(background: str) -> None:
 def test_ticks_of_a_slow_loop_that_beat_with_the_commands_are_no_changing_delay() -> None:
     """A base at 10 Hz, commands at 20 Hz: delays of stretches differ by 36 ms, which 96 nats had made unknown."""
     case = make(Spec(suite="none", kinds="report", index=10276, background="dirty"))
-    for channel in diagnose_motion(run_of(case), parse_robot(case.robot), (), 0):
+    for channel in diagnose_motion(run_of(case), parse_robot(case.robot), ()):
         assert channel.effects == () and channel.unknown is None
 
 

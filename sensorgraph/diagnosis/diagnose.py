@@ -103,7 +103,7 @@ def diagnose(
         laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
         train, unseen = fitted_and_held_out(laid.data, held, noise_bounds)
         run, second = run.take_scans(slice(0)), None  # the scans of a long log are no longer needed
-    motion = partial(diagnose_motion, run, laid.robot, known, seed, progress)
+    motion = partial(diagnose_motion, run, laid.robot, known, progress)
     with clock.stage("odometry and drive"):  # before the scans, since both need much memory in a long run
         odometry, drive = motion()
     scans = diagnose_scans(
@@ -254,7 +254,6 @@ def diagnose_motion(
     run: Run,
     robot: Robot,
     known: Sequence[Amendment],
-    seed: int,
     progress: ProgressBars = no_progress,
     *,
     is_reference_straight: bool = False,
@@ -267,7 +266,7 @@ def diagnose_motion(
     """
     model = motion_model(robot, known)
     with progress("comparing wheels with poses", ""):
-        found = diagnose_odometry(run, model, seed=seed, is_reference_straight=is_reference_straight)
+        found = diagnose_odometry(run, model, is_reference_straight=is_reference_straight)
         odometry = name_motion_effects(found, known)
     with progress("comparing commands with wheels", ""):
         driven = diagnose_drive(

@@ -18,7 +18,7 @@ from sensorgraph.diagnosis.engine.ledger import (
 )
 from sensorgraph.diagnosis.engine.why import check_known
 from sensorgraph.diagnosis.motion.consequence import SimulationError
-from sensorgraph.diagnosis.motion.families import FAMILIES_OF
+from sensorgraph.diagnosis.motion.selection import FAMILIES_OF
 from sensorgraph.diagnosis.report.quantities import quantity, symbol, title_of
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.diagnosis.scan.unnamed import titles

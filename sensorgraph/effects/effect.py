@@ -15,10 +15,9 @@ from planners.arena import Arena
 from sensorgraph.effects.interfaces import (
     CornerShift,
     Exposure,
-    MotorRegressor,
     Proposal,
+    Regressor,
     Residuals,
-    WheelRegressor,
 )
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.set_up import SetUp
@@ -95,10 +94,8 @@ class Diagnostics:
     is_lattice: bool = False
     """All readings are on a lattice, independently of other effects."""
 
-    wheel_regressor: WheelRegressor | None = None
-    """Regressor in the odometry channel; None if the effect has no separate column."""
-    motor_regressor: MotorRegressor | None = None
-    """Regressor in the drive channel; None if the effect has no separate column."""
+    regressor: Regressor | None = None
+    """Regressor in the odometry or drive channel; None if the effect has no separate column."""
 
     leftover_share: float = 0.0
     """Share of the gain of this coarse model below which a further candidate is a remainder of it."""

@@ -173,53 +173,31 @@ class Exposure(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WheelMotion:
-    """Motion measured by the wheels between two averages of the reference pose; arrays (n,)."""
+class DrivenMotion:
+    """Motion that an effect of wheels or motors changes; arrays (n,).
+
+    Of the wheels: between two averages of the reference pose. Of the simulated motors: per second.
+    """
 
     distance: Floats
-    """[m] Distance along the heading of the reference."""
+    """[m or m/s] Distance along the heading."""
     turn: Floats
-    """[rad] Turn."""
+    """[rad or rad/s] Turn."""
     path: Floats
-    """[m] Length of the path."""
+    """[m or m/s] Length of the path."""
     base: float
     """[m] Wheelbase."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelRegressor:
-    """Column of a wheel error in the regression of the reference motion on the motion measured by the wheels."""
+class Regressor:
+    """Column of an error in the regression of the reference on the wheels, or of the odometry on the simulated motors."""
 
-    column: Callable[[WheelMotion], tuple[Floats, Floats]]
-    """Return the change of distance (n,) [m] and of turn (n,) [rad] of the reference per unit of the coefficient."""
+    column: Callable[[DrivenMotion], tuple[Floats, Floats]]
+    """Return the change of distance (n,) and of turn (n,) of the measured side per unit of the coefficient."""
     tolerance: float
     """Standard deviation of the coefficient in a careful setup."""
-    size: Callable[[float, float], float]
+    size: Callable[[float, float], float] = lambda coefficient, gain: coefficient
     """Return the parameter of the effect from its coefficient and the gain of both wheels (true over measured)."""
     stderr: Callable[[float, float], float] = lambda error, gain: error
     """Return the standard error of the parameter from that of the coefficient and the gain."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MotorMotion:
-    """Motion of the simulated motors between two stamps of the odometry; arrays (n,)."""
-
-    v: Floats
-    """[m/s] Mean speed."""
-    omega: Floats
-    """[rad/s] Mean turn rate."""
-    duration: Floats
-    """[s] Time between the stamps."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotorRegressor:
-    """Column of a motor error in the regression of odometry on simulated motors.
-
-    The coefficient is the only parameter of the effect.
-    """
-
-    column: Callable[[MotorMotion], tuple[Floats, Floats]]
-    """Return the change of speed (n,) [m/s] and of turn rate (n,) [rad/s] per unit of the parameter."""
-    tolerance: float
-    """Standard deviation of the parameter in a careful setup."""

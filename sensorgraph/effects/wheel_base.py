@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
+from sensorgraph.effects.interfaces import DrivenMotion, Regressor
 from sensorgraph.types import Floats
 from sensorgraph.world.drivetrain import Drivetrain
 
@@ -15,7 +15,7 @@ def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     drivetrain.measured = np.diag([1.0, 1 / (1 + a["s"])]) @ drivetrain.measured
 
 
-def column(motion: WheelMotion) -> tuple[Floats, Floats]:
+def column(motion: DrivenMotion) -> tuple[Floats, Floats]:
     """Return zero for the distance, and the turn itself for the turn."""
     return np.zeros_like(motion.distance), motion.turn
 
@@ -34,7 +34,7 @@ WHEEL_BASE = Effect(
     transform=transform,
     diagnostics=Diagnostics(
         why_unseen="the robot turns too little",
-        wheel_regressor=WheelRegressor(
+        regressor=Regressor(
             column=column,
             tolerance=0.002,
             size=lambda coefficient, gain: (gain + coefficient) / gain - 1,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
+from sensorgraph.effects.interfaces import DrivenMotion, Regressor
 from sensorgraph.types import Floats
 from sensorgraph.world.drivetrain import Drivetrain
 
@@ -13,7 +13,7 @@ def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     drivetrain.measured = (1 + a["s"]) * drivetrain.measured
 
 
-def column(motion: WheelMotion) -> tuple[Floats, Floats]:
+def column(motion: DrivenMotion) -> tuple[Floats, Floats]:
     """Return the distance and the turn themselves."""
     return motion.distance, motion.turn
 
@@ -36,7 +36,7 @@ WHEEL_RADIUS = Effect(
     transform=transform,
     diagnostics=Diagnostics(
         why_unseen="the robot drives too little",
-        wheel_regressor=WheelRegressor(
+        regressor=Regressor(
             column=column,
             tolerance=0.0015,
             size=lambda coefficient, gain: 1 / gain - 1,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
-from sensorgraph.effects.interfaces import WheelMotion, WheelRegressor
+from sensorgraph.effects.interfaces import DrivenMotion, Regressor
 from sensorgraph.types import Floats
 from sensorgraph.world.drivetrain import Drivetrain
 
@@ -15,7 +15,7 @@ def transform(drivetrain: Drivetrain, a: Amendment) -> None:
     drivetrain.measured = np.array([[1.0, 0.0], [a["s"] / drivetrain.base, 1.0]]) @ drivetrain.measured
 
 
-def column(motion: WheelMotion) -> tuple[Floats, Floats]:
+def column(motion: DrivenMotion) -> tuple[Floats, Floats]:
     """Return zero for the distance, and the negative path over the wheelbase for the turn."""
     return np.zeros_like(motion.turn), -motion.path / motion.base
 
@@ -34,7 +34,7 @@ WHEEL_RADIUS_DIFF = Effect(
     transform=transform,
     diagnostics=Diagnostics(
         why_unseen="the robot drives straight too little",
-        wheel_regressor=WheelRegressor(
+        regressor=Regressor(
             column=column,
             tolerance=0.001,
             size=lambda coefficient, gain: coefficient / gain,

@@ -14,8 +14,6 @@ MIN_DRIFT = 0.05
 proportional to its speed."""
 MIN_SPEED_ERROR = 0.005
 """[m/s] speed error of the wheels, above which it matters to a user; also proportional to the speed."""
-MIN_YAW_ERROR = 0.005
-"""[rad] distortion of the reference headings, above which it matters to a user."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +66,7 @@ class ReferenceError:
     def is_material(self, top_speed: float, evidence: float) -> bool:
         """Tell whether the error certainly matters to a user, given the evidence [nats] that it is not zero."""
         share = sure_share(evidence)
-        return share * self.place > EVIDENCE.min_place_error or share * self.yaw > MIN_YAW_ERROR
+        return share * max(self.place, self.yaw) > EVIDENCE.min_reference_error
 
 
 def sure_share(evidence: float) -> float:

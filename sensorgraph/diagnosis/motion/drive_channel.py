@@ -46,10 +46,6 @@ TIMING = (ACTUATOR_LAG, DEAD_TIME)
 """Effects that delay the response of the motors to a command."""
 OTHER_MOTORS = ("answer", "ramp")
 """Kinds of the families of motors whose response is not a single lag, although a lag absorbs most of it."""
-BEAT_TIME = 5.0
-"""[s] over which the control loop of the base and the stamps of the commands keep their phase."""
-MAX_BEATS = 24
-"""Maximum number of pieces of the run with separate delays; in a longer run they are longer."""
 FULL_SPEED_SHARE = 0.9
 """Share of the robot's limit that commands must reach for a saturation to be observable."""
 
@@ -162,7 +158,7 @@ def drive_nuisances(model: DriveModel, fit: Fit) -> Floats:
     """
     rows, tolerances = model.rows, model.robot.tolerances
     sigma = float(np.hypot(tolerances.control_period / np.sqrt(12), tolerances.transport_jitter))
-    n = int(np.clip(np.ptp(rows.end) / BEAT_TIME, 1, MAX_BEATS))
+    n = EVIDENCE.n_pieces
     piece = np.clip(n * (rows.end - rows.end[0]) / np.ptp(rows.end), 0, n - 1).astype(np.intp)
     by_delay = fit.columns[:, Column.DELAY] * sigma
     return rows.masked(np.stack([by_delay * np.tile(piece == k, 2) for k in range(n)], axis=1))

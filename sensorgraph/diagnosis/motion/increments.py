@@ -14,18 +14,12 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
-MIN_STAMPS = 20
-"""Minimum number of odometry stamps, and of commands, for a comparison."""
+MIN_ROWS = 60
+"""Minimum number of stamps, and of rows; with fewer, the channel is skipped."""
 SAME_STAMP = 1e-6
 """[s] maximum difference between two stamps that count as one."""
 MIN_MOTION = 1e-3
 """[m or rad], of twists [m/s or rad/s]: range of a signal, below which it does not move."""
-TOP_QUANTILE = 0.999
-"""Quantile of the commanded speeds that counts as the maximum, so that single odd commands do not matter."""
-SETTLING_TIME = 0.3
-"""[s] after the first command that is not compared, because earlier commands are unknown."""
-MIN_DRIVE_ROWS = 100
-"""Minimum number of rows; with fewer, the channel is skipped."""
 
 
 class ChannelSkippedError(SensorgraphError):
@@ -79,7 +73,7 @@ def wheel_increments(run: Run) -> WheelIncrements:
     keep = np.flatnonzero(is_new)
     said = "this run has no odometry that moves" if n else "this run has no odometry"
     nothing = ChannelSkippedError(said)
-    if len(keep) < MIN_STAMPS:
+    if len(keep) < MIN_ROWS:
         raise nothing
     stamps, poses, twists = run.odom_stamps[keep], run.odometry[keep], run.odom_twists[keep]
     dt = np.diff(stamps)
@@ -139,7 +133,7 @@ class CommandSignal:
     @property
     def top_speed(self) -> float:
         """Maximum commanded speed [m/s]."""
-        return float(np.quantile(np.abs(self.values[:, 0]), TOP_QUANTILE))
+        return float(np.abs(self.values[:, 0]).max())
 
 
 def commands_of(run: Run) -> CommandSignal:
@@ -153,8 +147,8 @@ def commands_of(run: Run) -> CommandSignal:
     n = len(run.commands)
     good = np.isfinite(run.commands).all(axis=1) if n else np.zeros(0, dtype=np.bool_)
     stamps, values = run.cmd_stamps[good], run.commands[good]
-    if len(stamps) < MIN_STAMPS:
-        raise ChannelSkippedError(f"this run has {len(stamps)} commands, expected at least {MIN_STAMPS}")
+    if len(stamps) < MIN_ROWS:
+        raise ChannelSkippedError(f"this run has {len(stamps)} commands, expected at least {MIN_ROWS}")
     if np.ptp(values, axis=0).max() < MIN_MOTION:
         raise ChannelSkippedError("the commands of this run never change")
     return CommandSignal(stamps=stamps, values=values)
@@ -207,14 +201,14 @@ def drive_rows(
     stamps = commands.stamps
     gap = np.interp(end, stamps[1:], np.diff(stamps))
     valid: Bools = (
-        (start > stamps[0] + SETTLING_TIME)
+        (start > stamps[0] + EVIDENCE.max_gap)
         & (end < stamps[-1])
         & (gap < EVIDENCE.max_gap)
         & (end - start < EVIDENCE.max_gap)
     )
-    if int(valid.sum()) < MIN_DRIVE_ROWS:
+    if int(valid.sum()) < MIN_ROWS:
         raise ChannelSkippedError(
-            f"commands and odometry overlap in {int(valid.sum())} samples, expected at least {MIN_DRIVE_ROWS}"
+            f"commands and odometry overlap in {int(valid.sum())} samples, expected at least {MIN_ROWS}"
         )
     return DriveRows(
         start=start,

@@ -16,13 +16,9 @@ from enum import IntEnum
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
-from sensorgraph.diagnosis.motion.increments import CommandSignal, DriveRows
-from sensorgraph.diagnosis.motion.motor_simulation import (
-    MotorParameters,
-    MotorSimulation,
-)
+from sensorgraph.diagnosis.motion.increments import MIN_MOTION, CommandSignal, DriveRows
+from sensorgraph.diagnosis.motion.motor_simulation import STEP, MotorParameters, MotorSimulation
 from sensorgraph.diagnosis.motion.regression import (
-    SHUT_SIGMA,
     BoundedPrior,
     Fit,
     Regression,
@@ -30,7 +26,7 @@ from sensorgraph.diagnosis.motion.regression import (
     clusters_of,
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
+from sensorgraph.diagnosis.motion.structure_test import TestedFamily
 from sensorgraph.diagnosis.motion.whitening import (
     Whitener,
     WhiteningFilter,
@@ -42,7 +38,7 @@ from sensorgraph.diagnosis.result import MotionDifference
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
-from sensorgraph.effects.interfaces import MotorMotion
+from sensorgraph.effects.interfaces import DrivenMotion
 from sensorgraph.effects.speed_saturation import SPEED_SATURATION
 from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
@@ -51,22 +47,12 @@ from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
 QUOTIENT = 0.004
-"""[s or m/s] step of the difference quotients."""
-TAU_RANGE = (1e-3, 3.0)
-"""[s] minimum and maximum time constant."""
+"""[s or m/s] step of the difference quotients, within which the simulation counts as linear."""
 LAG_SIGMA = 0.004
 """[s] tolerance of the time constant."""
-SECOND_LAG_SIGMA = 0.4
-"""Prior standard deviation of the share of this lag that is present."""
 MAX_STEPS = 6
 MAX_STEP = 0.1
 """[s or m/s] maximum step of time constant, dead time and maximum speed."""
-MIN_V_MAX = 0.02
-"""[m/s] lower limit of the maximum speed, and of the largest command for a saturation to be tested."""
-CONVERGED = 1e-3
-"""[s or m/s] step below which the fit has converged."""
-CONTROL_STEP = 0.003
-"""[s] error of a dead time due to the step of the controller."""
 FILTER_ORDER = 4
 """Order of the whitening filters."""
 GAIN_SIGMA = 0.03
@@ -134,14 +120,14 @@ class DriveModel:
         first, second = (WhiteningFilter.white(FILTER_ORDER, sigma) for sigma in sigmas)
         self.whitener = Whitener.plain((first, second), rows.valid)
         self.nominal = MotorParameters(tau=robot.actuators.tau, delay=robot.actuators.delay)
-        self.structure: AcceptedStructure | None = None
-        self.tested: list[TestedStructure] = []
-        """Tests for structure, for the ledger."""
-        found = [(effect, effect.diagnostics.motor_regressor) for effect in EFFECTS.values()]
-        self.regressors = [(effect, one) for effect, one in found if one is not None]
+        self.structure: TestedFamily | None = None
+        self.tested: list[TestedFamily] = []
+        """For the ledger."""
+        found = [(effect, effect.diagnostics.regressor) for effect in EFFECTS.values()]
+        self.regressors = [(effect, one) for effect, one in found if one and effect.channel == self.channel]
         own = (Term(effect, k) for k, (effect, _) in enumerate(self.regressors, start=len(Column)))
         terms = (*SIMULATED_TERMS, *own, *GAIN_TERMS)
-        can_saturate = self.top_speed > MIN_V_MAX
+        can_saturate = self.top_speed > MIN_MOTION
         self.terms = [term for term in terms if term.effect is not SPEED_SATURATION or can_saturate]
         """Hypotheses that this run could show."""
         self.misread = np.zeros((2 * rows.n, 0)) if wheels is None else _misread(rows, wheels)
@@ -166,7 +152,7 @@ class DriveModel:
         nothing = np.zeros(self.rows.n)
         by_v_max = np.zeros(2 * self.rows.n)
         if np.isfinite(motors.v_max):
-            slower = replace(motors, v_max=max(motors.v_max - step, 1e-3))
+            slower = replace(motors, v_max=motors.v_max - step)
             by_v_max = (base - rates(slower)) / step
         columns = {
             Column.LAG: (rates(replace(motors, tau=motors.tau + step)) - base) / step,
@@ -177,7 +163,7 @@ class DriveModel:
             Column.V_MAX: by_v_max,
             Column.SECOND_LAG: rates(in_series) - base,
         }
-        motion = MotorMotion(v=v, omega=omega, duration=self.rows.end - self.rows.start)
+        motion = DrivenMotion(distance=v, turn=omega, path=v, base=self.robot.wheels.base)
         own = [self.rows.masked(np.concatenate(regressor.column(motion))) for _, regressor in self.regressors]
         A = np.stack([*(columns[column] for column in Column), *own], axis=1)
         A = np.concatenate([A, self.misread], axis=1)
@@ -190,7 +176,8 @@ class DriveModel:
         return self._prior(terms, fit.motors)
 
     def _prior(self, terms: Sequence[Term], motors: MotorParameters) -> BoundedPrior:
-        sigma = [LAG_SIGMA, self.rows.clock_sigma, *self.gain_sigmas, SHUT_SIGMA, SECOND_LAG_SIGMA]
+        whole_share = 1.0 / EVIDENCE.max_tolerances  # at the bound, all of the second lag is present
+        sigma = [LAG_SIGMA, self.rows.clock_sigma, *self.gain_sigmas, 0.0, whole_share]
         sigma += [regressor.tolerance for _, regressor in self.regressors]
         bounded = len(sigma)
         sigma += [1.0] * int(self.misread.shape[1])
@@ -225,16 +212,16 @@ class DriveModel:
                 motors=motors,
             )
             steps = solution.theta[[Column.LAG, Column.DELAY, Column.V_MAX]]
-            is_small = bool((np.abs(steps) < CONVERGED).all())
+            is_small = bool((np.abs(steps) < QUOTIENT).all())
             if best is None or is_small or here.log_posterior > best.log_posterior:
                 best = here
             if is_small:
                 break
             lag, delay, v_max = np.clip(steps, -MAX_STEP, MAX_STEP)
             motors = MotorParameters(
-                tau=float(np.clip(motors.tau + lag, *TAU_RANGE)),
+                tau=float(max(motors.tau + lag, 0.0)),
                 delay=float(motors.delay + delay),
-                v_max=float(max(motors.v_max + v_max, MIN_V_MAX)),
+                v_max=float(max(motors.v_max + v_max, QUOTIENT)),
             )
         assert best is not None
         return best
@@ -243,7 +230,7 @@ class DriveModel:
         """Return the start value of the maximum speed: the highest measured one, at most the largest command."""
         v, _ = by_kind(self.rows.y, self.rows.n)
         fastest = min(float(np.abs(v[self.rows.valid]).max()), self.top_speed)
-        return max(fastest, MIN_V_MAX)
+        return max(fastest, QUOTIENT)
 
     def sized(self, term: Term, fit: Fit, error: float) -> Amendment:
         """Return an effect with its size and standard error, from the standard error of its coefficient.
@@ -258,7 +245,7 @@ class DriveModel:
             Column.V_MAX: motors.v_max,
         }
         if term.effect is DEAD_TIME:
-            blur = CONTROL_STEP
+            blur = STEP / float(np.sqrt(12))
         elif term.effect is ACTUATOR_LAG:
             share = abs(float(fit.solution.theta[Column.SECOND_LAG]))
             blur = share * _second_lag(motors) / float(np.sqrt(3))

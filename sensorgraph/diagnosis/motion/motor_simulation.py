@@ -70,7 +70,6 @@ class MotorSimulation:
         self.grid = begin + STEP * np.arange(n_steps)
         self.limit = AccelerationLimit.MOTORS
         self._known: dict[tuple[MotorParameters, AccelerationLimit], Floats] = {}
-        self._latest_held: tuple[float, Floats] | None = None
         self._latest_steps: tuple[float, tuple[Ints, Floats]] | None = None
 
     def rates(self, motors: MotorParameters, *, later: float = 0.0) -> Floats:
@@ -78,7 +77,7 @@ class MotorSimulation:
         key = (motors, self.limit)
         travelled = self._known.pop(key, None)
         if travelled is None:
-            travelled = self._travelled(motors, self._held_commands(motors.delay))
+            travelled = self._travelled(motors, self._held(motors.delay, self.commands.values))
         self._known[key] = travelled  # most recently used last
         if len(self._known) > MAX_KNOWN:
             del self._known[next(iter(self._known))]
@@ -109,12 +108,6 @@ class MotorSimulation:
         ends = self.grid + STEP
         out = np.stack([np.interp(end, ends, c) - np.interp(start, ends, c) for c in travelled.T], axis=1)
         return self.rows.masked((out / (end - start)[:, None]).T.ravel())
-
-    def _held_commands(self, delay: float) -> Floats:
-        """Return `_held` for the commands of the run; a fit needs each delay several times in a row."""
-        if self._latest_held is None or self._latest_held[0] != delay:
-            self._latest_held = (delay, self._held(delay, self.commands.values))
-        return self._latest_held[1]
 
     def _held(self, delay: float, commands: Floats) -> Floats:
         """Return the commands that hold in each step (n_steps, 2), `delay` [s] after they were given."""

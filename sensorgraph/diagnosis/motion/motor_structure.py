@@ -31,20 +31,14 @@ DRIVE_FAMILIES = {
 
 N_SIZES = 128
 """Number of sizes of a dead zone that are tried, for driving and for turning."""
-STOP_TIME = 0.25
-"""[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
 ANSWER_LAGS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """[s] delays after the response to a command, at which a second response may follow."""
-LAG_SIGMA = 0.05
-"""[s] prior standard deviation of a lag that changes."""
-ANSWER_SIGMA = 0.3
-"""Prior standard deviation of the second response."""
 RAMPS = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
 """Shares of the acceleration in robot.yaml that a base may really have."""
-SPEED_CUTS = (0.25, 0.5)
-"""Shares of the maximum speed, below which the gain may differ."""
-RATE_CUTS = (0.12, 0.2, 0.35, 0.6)
-"""Shares of the maximum turn rate, below which the gain may differ."""
+QUARTERS = (0.25, 0.5, 0.75)
+"""Shares of the highest speed and turn rate, above which a gain may differ."""
+STOP_TIME = 0.25
+"""[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
 ASKED_SHARE = 0.15
 """Share of the maximum speed, above which the base is commanded to move."""
 
@@ -97,7 +91,6 @@ def _lag_over_time(model: DriveModel, fit: Fit, pieces: Sequence[Bools]) -> Stru
     return StructureFamily(
         kind="lag over time",
         columns=model.rows.masked(np.stack(columns, axis=1)),
-        sigma=LAG_SIGMA,
         least_change=max(size, model.robot.tolerances.control_period / 2),
         statement="a lag of the motors that changes over time",
     )
@@ -113,8 +106,8 @@ def _gains_by_the_other(model: DriveModel, fit: Fit) -> StructureFamily:
     """Return the family of a base whose speed depends on its turn rate, or vice versa: the wheels share power."""
     v, omega = (np.abs(x) for x in by_kind(fit.simulated, model.rows.n))
     top_v, top_omega = max(float(v.max()), 1e-3), max(float(omega.max()), 1e-3)
-    turning = [omega > q * top_omega for q in RATE_CUTS]
-    driving = [v > q * top_v for q in SPEED_CUTS]
+    turning = [omega > q * top_omega for q in QUARTERS]
+    driving = [v > q * top_v for q in QUARTERS]
     statement = "a speed that depends on the turn rate, or a turn rate that depends on the speed"
     return _gains("coupling", statement, model, fit, turning, driving)
 
@@ -127,7 +120,6 @@ def _answers(model: DriveModel, fit: Fit) -> StructureFamily:
     return StructureFamily(
         kind="answer",
         columns=model.rows.masked(np.stack(columns, axis=1)),
-        sigma=ANSWER_SIGMA,
         statement="a response to commands that is not a single lag: the base rings, overshoots or creeps",
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from logs.run import Run
 from sensorgraph.diagnosis.engine import selection as engine
 from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError, reference_error
-from sensorgraph.diagnosis.motion.increments import ChannelSkippedError, clock_sigma
+from sensorgraph.diagnosis.motion.increments import MIN_ROWS, ChannelSkippedError, clock_sigma
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
 from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.report import TriedEffect, channel_result
@@ -27,14 +27,13 @@ from sensorgraph.diagnosis.motion.slip_patches import PATCH_PRICE, best_patch, g
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
 from sensorgraph.diagnosis.motion.wheel_rows import (
-    MIN_ROWS,
     WINDOW,
     MotionSignals,
     OdometryRows,
     motion_signals,
     rows_at,
 )
-from sensorgraph.diagnosis.motion.wheel_structure import odometry_families, reference_jumps, scale_jumps
+from sensorgraph.diagnosis.motion.wheel_structure import odometry_families, reference_jumps
 from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Unknown
 from sensorgraph.effects import Effect
@@ -53,19 +52,13 @@ CERTAIN = 0.8
 """Correlation above which two motions are the same, and below minus which they are opposite."""
 NONE = 0.5
 """Correlation below which two motions are different."""
-STRUCTURE_THRESHOLD = 20.0
-"""[nats] evidence that structure needs if the residual is white; proportionally more otherwise."""
-PATCH_SHARE = 0.1
-"""Share of the evidence of a patch, below which structure only reflects its rim: no patch is a sharp disc."""
 MAX_PATCHES = 3
 """Maximum number of patches in one run."""
 MIN_DISTANCE = 1.0
 """[m] minimum path for a slip to be observable."""
 
 
-def diagnose_odometry(
-    run: Run, robot: Robot, *, seed: int = 0, is_reference_straight: bool = False
-) -> ChannelResult:
+def diagnose_odometry(run: Run, robot: Robot, *, is_reference_straight: bool = False) -> ChannelResult:
     """Name the effects that make odometry and reference poses differ.
 
     A run without odometry or separate reference poses is skipped, with the reason in `ChannelResult.skipped`.
@@ -82,7 +75,6 @@ def diagnose_odometry(
         rows = aligned_rows(signals)
     except ChannelSkippedError as exc:
         return ChannelResult(channel="odometry", skipped=str(exc))
-    rng = np.random.default_rng(seed)
     model = WheelModel(rows, signals.wheels, robot)
     late = clock_left(model)
     moved = rows_at(signals, rows.clock + late)
@@ -90,8 +82,8 @@ def diagnose_odometry(
         model = WheelModel(moved, signals.wheels, robot)
     if run.pose_frame == "base_link" and not is_located(run):
         model.allow_askew()
-    terms = select(model, rng, is_reference_straight=is_reference_straight)
-    return odometry_result(model, terms, signals, rng)
+    terms = select(model, is_reference_straight=is_reference_straight)
+    return odometry_result(model, terms, signals)
 
 
 def clock_left(model: WheelModel) -> float:
@@ -109,8 +101,8 @@ def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
         return None
     model = WheelModel(rows, signals.wheels, robot)
     fit, clock = model.fit(model.effects).solution, model.clock
-    covariance = model.regression.clustered_covariance(fit, model.clusters)
-    return rows.clock + float(fit.theta[clock]), float(np.sqrt(covariance[clock, clock]))
+    error = model.regression.clustered_errors(fit, model.clusters)[clock]
+    return rows.clock + float(fit.theta[clock]), float(error)
 
 
 def aligned_rows(signals: MotionSignals) -> OdometryRows:
@@ -201,34 +193,34 @@ def _correlation(a: Floats, b: Floats) -> float:
 # selection -----------------------------------------------------------------------------------------------------------
 
 
-def select(model: WheelModel, rng: np.random.Generator, *, is_reference_straight: bool = False) -> list[Term]:
+def select(model: WheelModel, *, is_reference_straight: bool = False) -> list[Term]:
     """Add hypotheses to the model while the evidence suffices, then remove superfluous ones.
 
     Structure that no effect explains competes with the effects, and replaces patches if it explains more. If the
     reference is known to be straight, a distorted reference is not tried.
     """
     most = len(model.terms) + MAX_PATCHES
-    terms = engine.select(WheelChannel(model, rng), threshold=EVIDENCE.threshold, most=most)
+    terms = engine.select(WheelChannel(model), threshold=EVIDENCE.threshold, most=most)
     add_structure(model, terms, is_reference_straight=is_reference_straight)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
-            refine_patch(model, i, terms, rng)
-    engine.remove_superfluous(WheelChannel(model, rng, terms), terms)
+            refine_patch(model, i, terms)
+    engine.remove_superfluous(WheelChannel(model, terms), terms)
     return terms
 
 
 class WheelChannel(MotionChannel):
     """Wheel effects and slippery patches, as hypotheses about the odometry."""
 
-    def __init__(self, model: WheelModel, rng: np.random.Generator, terms: Sequence[Term] = ()) -> None:
+    def __init__(self, model: WheelModel, terms: Sequence[Term] = ()) -> None:
         super().__init__(model, terms)
-        self.wheels, self.rng = model, rng
+        self.wheels = model
 
     def best(self, model: Sequence[Term]) -> tuple[Term, float] | None:
         """Return the best further hypothesis, which may be a patch, and its evidence [nats]."""
         wheels, other = self.wheels, super().best(model)
         can_slip = len(wheels.patches) < MAX_PATCHES
-        found = wheels.last_patch = best_patch(wheels, model, self.rng) if can_slip else None
+        found = wheels.last_patch = best_patch(wheels, model) if can_slip else None
         if found is None or found[1] < max(EVIDENCE.threshold, -np.inf if other is None else other[1]):
             return other
         wheels.patches.append(found[0])
@@ -239,11 +231,11 @@ class WheelChannel(MotionChannel):
         wheels = self.wheels
         if model[-1].effect is WHEEL_SLIP:
             wheels.fit_noise()  # that of a model without the patch has absorbed a part of it
-            found = best_patch(wheels, model[:-1], self.rng)
+            found = best_patch(wheels, model[:-1])
             if found is not None:
                 wheels.patches[-1] = found[0]
                 wheels.whiten()
-            refine_patch(wheels, len(wheels.patches) - 1, model, self.rng)
+            refine_patch(wheels, len(wheels.patches) - 1, model)
         wheels.fit_noise()
         self.fit, self._fits = wheels.fit(model), {}
 
@@ -262,20 +254,15 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
     left = rest.y - rest.explained(range(model.n_own))
     families += reference_jumps(model.rows, left)
     beside = [one for one in families if one.kind != "reference jumps" or not model.patches]
-    family, gain = best_structure(
-        model, test, own, beside
-    )  # a patch at the place of jumps absorbs a part of them
-    least, replaces = 0.0, False
+    family, gain = test.best(own, beside)  # a patch at the place of jumps absorbs a part of them
+    replaces = False
     if model.patches:
-        other, total = best_structure(model, test, plain, families)
+        other, total = test.best(plain, families)
         replaces = test.lead(plain, other, own) + PATCH_PRICE * len(model.patches) > gain
         if replaces:
             own, family, gain = plain, other, total
-        elif len(model.patches) == 1:
-            fit, rest = model.fit(terms), model.fit([term for term in terms if term.effect is not WHEEL_SLIP])
-            least = PATCH_SHARE * (fit.log_posterior - rest.log_posterior)
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
-    threshold = max(STRUCTURE_THRESHOLD * dispersion, least)
+    threshold = EVIDENCE.threshold * dispersion
 
     def size_of(missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
         if family.is_of_reference:
@@ -291,24 +278,10 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
     engine.remove_superfluous(MotionChannel(model, terms), terms)
 
 
-def best_structure(
-    model: WheelModel, test: StructureTest, own: Floats, families: Sequence[StructureFamily]
-) -> tuple[StructureFamily, float]:
-    """Return the best family in addition to columns (3 n, k), and its evidence; the moment of a change is refined."""
-    best = test.best(own, families)
-    if best[1] <= 0:
-        return best
-    jump = test.best(own, [one for one in families if one.kind == "jump"])[0]
-    nearer = scale_jumps(model.rows, model.motion, model.robot.wheels.base, jump)
-    return max(best, test.best(own, nearer), key=lambda one: one[1])
-
-
 # report --------------------------------------------------------------------------------------------------------------
 
 
-def odometry_result(
-    model: WheelModel, terms: Sequence[Term], signals: MotionSignals, rng: np.random.Generator
-) -> ChannelResult:
+def odometry_result(model: WheelModel, terms: Sequence[Term], signals: MotionSignals) -> ChannelResult:
     """Return the result of the odometry channel for the selected hypotheses."""
     fit = model.fit(terms)
     slips = any(term.effect is WHEEL_SLIP for term in terms)
@@ -316,7 +289,7 @@ def odometry_result(
 
     def patch_instead(rest: Sequence[Term], term: Term) -> dict[Effect, float]:
         """Return the evidence of a slippery patch that could replace an effect [nats]."""
-        found = None if term.effect is WHEEL_SLIP else best_patch(model, rest, rng)
+        found = None if term.effect is WHEEL_SLIP else best_patch(model, rest)
         return {} if found is None else {WHEEL_SLIP: found[1]}
 
     return channel_result(

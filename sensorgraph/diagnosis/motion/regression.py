@@ -19,12 +19,8 @@ from sensorgraph.diagnosis.scan.normal_equations import solve_bounded
 from sensorgraph.effects import Effect
 from sensorgraph.types import Bools, Floats, Ints
 
-SHUT_SIGMA = 1e-9
-"""Prior standard deviation of a coefficient that is fixed at 0."""
 RIDGE = 1e-8
 """Share of the mean square of the columns; keeps normal equations without a prior regular."""
-HELD_OUT_BLOCK = 5.0
-"""[s] duration of the blocks that are held out for the gap."""
 
 
 @dataclass(frozen=True)
@@ -148,24 +144,20 @@ class Regression:
             covariance=covariance,
         )
 
-    def clustered_covariance(self, fit: RegressionFit, clusters: Ints) -> Floats:
-        """Return the covariance (k, k) for errors correlated within clusters; at least that of the model.
+    def clustered_errors(self, fit: RegressionFit, clusters: Ints) -> Floats:
+        """Return the standard errors (k,) if errors are correlated within clusters (n,); at least those of the model."""
+        return np.sqrt(np.maximum(self.robust_variances(fit, clusters), np.diag(fit.covariance)))
 
-            robust = covariance  (sum over clusters of  s s')  covariance,   s = A' (y - A theta) of one cluster
+    def robust_variances(self, fit: RegressionFit, clusters: Ints) -> Floats:
+        """Return the variances (k,) by the scatter of the clusters (n,) alone.
 
-        This is the sandwich estimator of Huber (1967) and White (1980), by clusters as in Liang and Zeger
-        (1986). Its diagonal scales the covariance of the model.
+            diag of  covariance  (sum over clusters of  s s')  covariance,   s = A' (y - A theta) of one cluster
 
-        Parameters
-        ----------
-        clusters : (n,) Index of the cluster of each row.
+        This is the sandwich estimator of Huber (1967) and White (1980), by clusters as in Liang and Zeger (1986).
         """
         scores = self.A * (self.y - self.A @ fit.theta)[:, None]
         sums = np.stack([np.bincount(clusters, weights=s) for s in scores.T], axis=1)
-        robust = fit.covariance @ (sums.T @ sums) @ fit.covariance
-        ratio = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(fit.covariance), 1e-300), 1.0))
-        out: Floats = fit.covariance * ratio[:, None] * ratio[None, :]
-        return out
+        return np.asarray(np.square(sums @ fit.covariance).sum(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -205,7 +197,7 @@ class Fit:
         stamps : (n,) [s]
         """
         y, regression = self.y - self.simulated, self.regression
-        block = ((stamps - stamps[0]) // HELD_OUT_BLOCK).astype(np.intp)
+        block = ((stamps - stamps[0]) // EVIDENCE.cluster).astype(np.intp)
         half, out = np.tile(block % 2, len(y) // len(stamps)), np.zeros(len(y))
         for side in (0, 1):
             train = half == side

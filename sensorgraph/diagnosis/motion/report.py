@@ -19,16 +19,10 @@ from sensorgraph.diagnosis.engine.ledger import (
 )
 from sensorgraph.diagnosis.ledger import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import SimulationError
-from sensorgraph.diagnosis.motion.families import FAMILIES_OF
 from sensorgraph.diagnosis.motion.regression import Fit, Term
-from sensorgraph.diagnosis.motion.selection import MotionModel
+from sensorgraph.diagnosis.motion.selection import FAMILIES_OF, MotionModel
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import (
-    AcceptedStructure,
-    ScreenedFamily,
-    StructureFamily,
-    TestedStructure,
-)
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, TestedFamily
 from sensorgraph.diagnosis.result import (
     BOTH_SIDES,
     ChannelResult,
@@ -177,7 +171,7 @@ def channel_result(
     usual_rival : Returns the rival of an effect where no alternative would be named instead.
     not_observable : Effects that the run could not have shown, with the reason, for other reasons than variance.
     """
-    errors = np.sqrt(np.diag(fit.regression.clustered_covariance(fit.solution, model.clusters)))
+    errors = fit.regression.clustered_errors(fit.solution, model.clusters)
     accepted = [
         _accepted(
             model, terms, fit, term, float(errors[term.column]),
@@ -261,7 +255,7 @@ def _unseen_effects(tried: Iterable[TriedEffect]) -> dict[str, str]:
 
 
 def _gap(model: MotionModel, terms: Sequence[Term], fit: Fit) -> Gap:
-    """Return the gap, by fits to every other block of 5 s and measurements on the rest, and vice versa."""
+    """Return the gap, by fits to every other cluster of errors and measurements on the rest, and vice versa."""
     rows, k = model.rows, fit.columns.shape[1]
     n = 2 * rows.n_valid
     stamps = rows.stamps
@@ -285,7 +279,7 @@ def _gap(model: MotionModel, terms: Sequence[Term], fit: Fit) -> Gap:
 # structure -----------------------------------------------------------------------------------------------------------
 
 
-def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[AcceptedStructure]:
+def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[TestedFamily]:
     """Return the tolerances beyond their bounds as one difference without a name, if there are any.
 
     The ledger keeps it, or else the best one that the evidence does not suffice for.
@@ -293,7 +287,7 @@ def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[Accepted
     freed = [term for term in terms if term.effect is None]
     rest_terms = [term for term in terms if term.effect is not None]
     tried = [[term] for term in model.terms if term.effect is None]
-    found = list[AcceptedStructure]()
+    found = list[TestedFamily]()
     for some in [freed] if freed else tried:
         with_it = fit if freed else model.fit([*rest_terms, *some], fit)
         rest = model.fit(rest_terms, fit) if freed else fit
@@ -302,68 +296,44 @@ def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[Accepted
             kind=some[0].family,
             columns=with_it.columns[:, columns],
             statement=model.words_of({k: float(with_it.solution.theta[k]) for k in columns}),
-            choice_price=price,
         )
+        evidence = with_it.log_posterior - rest.log_posterior - price
         missing = with_it.simulated - rest.simulated + with_it.explained(columns)
-        found.append(
-            AcceptedStructure(
-                family=family,
-                evidence=with_it.log_posterior - rest.log_posterior - price,
-                threshold=EVIDENCE.threshold,
-                size=model.error_without(with_it, missing),
-            )
-        )
-    if not found:
-        return []
-    best = max(found, key=lambda one: one.evidence)
-    screened = ScreenedFamily(family=best.family, evidence=best.evidence, price=best.family.choice_price)
-    model.tested.append(
-        TestedStructure(
-            families={best.family.kind: screened},
-            threshold=EVIDENCE.threshold,
-            best=best if freed else None,
-        )
-    )
-    return [best] if freed else []
+        size = model.error_without(with_it, missing) if freed else None
+        found.append(TestedFamily(family=family, evidence=evidence, price=price, size=size))
+    best = max(found, key=lambda one: one.evidence, default=None)
+    if best is not None:
+        model.tested.append(best)
+    return [] if best is None or best.size is None else [best]
 
 
-def _structure_entries(channel: str, tests: Iterable[TestedStructure]) -> Iterator[Entry]:
+def _structure_entries(channel: str, tested: Iterable[TestedFamily]) -> Iterator[Entry]:
     """Yield each tested family of a channel at its most likely."""
-    for tested in tests:
-        best = tested.best
-        own = [] if best is None else [best.family.kind]
-        for kind in dict.fromkeys([*own, *tested.families]):
-            name, title = FAMILIES_OF[channel][kind]
-            screened = tested.families.get(kind)
-            entry = Entry(
-                name=name,
-                channel=channel,
-                title=title,
-                facts=Facts(has_name=False, threshold=tested.threshold),
-                price=None if screened is None else screened.price,
-            )
-            if best is not None and best.family.kind == kind:
-                yield replace(
-                    entry,
-                    facts=replace(
-                        entry.facts, accepted=True, evidence=best.evidence, is_material=tested.is_material
-                    ),
-                    estimate=best.family.statement,
-                    size=best.size.to_dict(),
-                    consequence=best.size.sentence(),
-                )
-            elif screened is not None:
-                yield replace(
-                    entry,
-                    facts=replace(entry.facts, evidence=screened.evidence),
-                    estimate=screened.family.statement,
-                    rival=None
-                    if best is None
-                    else Competitor(title=best.family.statement, evidence=best.evidence),
-                )
+    for one in tested:
+        name, title = FAMILIES_OF[channel][one.family.kind]
+        rival, size = one.beaten_by, one.size
+        yield Entry(
+            name=name,
+            channel=channel,
+            title=title,
+            facts=Facts(
+                has_name=False,
+                accepted=size is not None,
+                evidence=one.evidence,
+                threshold=one.threshold,
+                is_material=one.is_material,
+            ),
+            price=one.price,
+            estimate=one.family.statement,
+            rival=None
+            if rival is None
+            else Competitor(title=rival.family.statement, evidence=rival.evidence),
+            size={} if size is None else size.to_dict(),
+            consequence="" if size is None else size.sentence(),
+        )
 
 
-def _unknown(channel: str, structures: Iterable[AcceptedStructure], n_rows: int) -> Unknown | None:
+def _unknown(channel: str, structures: Iterable[TestedFamily], n_rows: int) -> Unknown | None:
     """Describe the structure with the most evidence as a difference that no effect explains; None without any.
 
     Parameters
@@ -375,6 +345,7 @@ def _unknown(channel: str, structures: Iterable[AcceptedStructure], n_rows: int)
         return None
     first, rivals = order[0], [one.family.statement for one in order[1:]]
     family, evidence, size = first.family, first.evidence, first.size
+    assert size is not None
     name, _ = FAMILIES_OF[channel][family.kind]
     return Unknown(
         statement=f"{BOTH_SIDES[channel]} differ by {family.statement}, which no effect of the library explains; "

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError, sure_share
 from sensorgraph.diagnosis.motion.motor_model import DriveModel
+from sensorgraph.diagnosis.motion.motor_structure import DRIVE_FAMILIES
 from sensorgraph.diagnosis.motion.regression import Fit, Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import (
-    AcceptedStructure,
     StructureFamily,
     StructureTest,
-    TestedStructure,
+    TestedFamily,
 )
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
+from sensorgraph.diagnosis.motion.wheel_structure import ODOMETRY_FAMILIES
 from sensorgraph.types import Floats
 
+FAMILIES_OF: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "odometry": ODOMETRY_FAMILIES,
+    "drive": DRIVE_FAMILIES,
+}
+"""Channel -> its families without a name: name in the ledger, and noun phrase."""
 MotionModel = WheelModel | DriveModel
 """Regression of one run, of wheels or of motors."""
 
@@ -72,7 +79,7 @@ def admitted_structure(
     size_of: Callable[[Floats, StructureFamily], SimulationError | ReferenceError],
     *,
     stands_for_material: bool = False,
-) -> AcceptedStructure | None:
+) -> TestedFamily | None:
     """Return the best family if its evidence suffices and its size matters to a user; the ledger keeps the test.
 
     Parameters
@@ -84,8 +91,9 @@ def admitted_structure(
     size_of : Returns the error without rows (k n,) that the family explains.
     """
     family, gain = found
+    others = {kind: replace(one, threshold=threshold) for kind, one in test.tested.items()}
     if gain < threshold:
-        model.tested.append(TestedStructure(families=dict(test.tested), threshold=threshold))
+        model.tested += others.values()
         return None
     missing = test.explained(own, family)
     size = size_of(missing, family)
@@ -93,13 +101,15 @@ def admitted_structure(
     if family.least_change:
         rms = np.std(missing) / max(float(np.std(family.columns.sum(axis=1))), 1e-12)
         is_material = bool(2 * sure_share(gain) * rms >= family.least_change)
-    is_material = is_material or stands_for_material
-    accepted = AcceptedStructure(
-        family=family, evidence=gain, threshold=threshold, size=size, rivals=test.rivals(family)
+    screened = others.pop(family.kind, None)
+    best = TestedFamily(
+        family=family,
+        evidence=gain,
+        price=None if screened is None else screened.price,
+        threshold=threshold,
+        size=size,
+        is_material=is_material or stands_for_material,
+        rivals=test.rivals(family),
     )
-    model.tested.append(
-        TestedStructure(
-            families=dict(test.tested), threshold=threshold, best=accepted, is_material=is_material
-        )
-    )
-    return accepted if is_material else None
+    model.tested += [best, *(replace(one, beaten_by=best) for one in others.values())]
+    return best if best.is_material else None

@@ -39,8 +39,8 @@ class EvidenceSettings:
     """[s] duration of dead reckoning, after which the error of a simulation is evaluated."""
     reference_speed: float = 0.4
     """[m/s] speed of the robot for which these limits hold."""
-    min_place_error: float = 0.005
-    """[m] distortion of the reference positions over the place, above which it matters to a user."""
+    min_reference_error: float = 0.005
+    """[m, rad] distortion of the reference poses over the place, above which it matters to a user."""
     n_pieces: int = 6
     """Number of pieces of the run in which scales, gains or delays may differ."""
     scale_sigma: float = 0.1

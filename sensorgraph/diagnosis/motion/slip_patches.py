@@ -1,13 +1,12 @@
 """Search for a slippery patch, and its posterior distribution.
 
-A patch is a disc x = (x, y, log r). The best disc of a grid along the path starts an adaptive importance sampler
-(Cornuet et al. 2012, "Adaptive multiple importance sampling", Scandinavian Journal of Statistics 39):
+A patch is a disc x = (x, y, log r). The best disc of a lattice along the path is the start of further lattices, each
+with the mean and the principal axes of the posterior on the previous one:
 
     p(x) ~ exp(gain(x) / T) / r²           a patch of unknown size has the density 1 / r³ over (x, y, r)
-    w_i  = p(x_i) / (1/K Σ_k q_k(x_i))     q_k: Student's t of round k
+    x_i  = mean + L u_i,   L L' = covariance + covariance of a cell,   u_i in {-2, ..., 2}³
 
-Each round has the mean and the covariance of all samples so far. The gain of a disc is that of the regression, with
-the lost share of the motion at its optimum.
+The gain of a disc is that of the regression, with the lost share of the motion at its optimum.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import brentq
 
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.regression import Term
@@ -28,14 +26,8 @@ PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
 """[nats] complexity penalty of a patch."""
 MAX_VALUES = 1_000_000
 """Maximum number of rows times discs in memory: 8 MB per array."""
-TAILS = 3
-"""Degrees of freedom of the proposals: heavy tails, so that no weight is unbounded."""
-LEAST_EFFECTIVE = 20
-"""Minimum number of increments that move, and of effective samples from which a proposal is estimated."""
-RADIUS_RANGE = (0.1, 2.5)
-"""[m] smallest and largest radius of a patch."""
 RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
-"""[m] radii that are tried."""
+"""[m] radii that are tried; the first and the last one bound all others."""
 MIN_INFORMATION = 400.0
 """[1] minimum inverse variance of the lost share, for 5 % standard error; with less, the robot hardly
 crossed the disc."""
@@ -43,17 +35,13 @@ CELL = 0.15
 """[m] distance between the centres that are tried."""
 MAX_CENTRES = 250
 """Maximum number of centres; of more, every second or third is tried."""
-N_ROUNDS = 7
-"""Number of rounds of the importance sampler."""
-N_SAMPLES = 100
-"""Number of discs of a round."""
-MAX_SLIP = 0.95
-"""Maximum share of the motion that a patch loses."""
+LATTICE = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3), axis=-1).reshape(-1, 3)
+"""(125, 3) nodes in standard deviations."""
+N_LATTICES = 4
+"""Number of lattices, each up to 3.5 times as fine as the previous one."""
 
 
-def best_patch(
-    model: WheelModel, terms: Sequence[Term], rng: np.random.Generator
-) -> tuple[SlipPatch, float] | None:
+def best_patch(model: WheelModel, terms: Sequence[Term]) -> tuple[SlipPatch, float] | None:
     """Return the most likely patch in addition to other effects, and its evidence [nats].
 
     Either each wheel slips at its own place, or the body slips as a whole: the more likely of the two. The
@@ -61,23 +49,23 @@ def best_patch(
     """
     is_moving = np.abs(model.wheels.distance) > MIN_MOTION
     positions = model.rows.increment_poses[is_moving, :2]
-    if len(positions) < LEAST_EFFECTIVE:
+    if not len(positions):
         return None
     cells = np.unique(np.round(positions / CELL).astype(np.intp), axis=0)
     if len(cells) > MAX_CENTRES:
         cells = cells[:: len(cells) // MAX_CENTRES + 1]
     centres = cells * CELL
     discs = np.concatenate([np.column_stack([centres, np.full(len(centres), r)]) for r in RADII])
-    found = [_best_disc(model, discs, track, terms, rng) for track in (model.robot.wheels.base, 0.0)]
+    found = [_best_disc(model, discs, track, terms) for track in (model.robot.wheels.base, 0.0)]
     return max(found, key=lambda one: one[1])
 
 
 def _best_disc(
-    model: WheelModel, discs: Floats, track: float, terms: Sequence[Term], rng: np.random.Generator
+    model: WheelModel, discs: Floats, track: float, terms: Sequence[Term]
 ) -> tuple[SlipPatch, float]:
-    """Return the best of discs (n, 3) and of the samples around it, and its evidence [nats]."""
+    """Return the best of discs (n, 3) and of the lattices around it, and its evidence [nats]."""
     gains, _ = gains_of_discs(model, discs, track, terms)
-    near, more_gains, _, _ = _sampled(model, discs[int(np.argmax(gains))], track, terms, rng)
+    near, more_gains, _, _ = _posterior(model, discs[int(np.argmax(gains))], track, terms)
     x, y, r = (float(value) for value in near[int(np.argmax(more_gains))])
     patch = SlipPatch(x=x, y=y, r=r, track=track, covariance=np.zeros((4, 4)))
     return patch, float(more_gains.max()) - PATCH_PRICE
@@ -107,7 +95,7 @@ def gains_of_discs(
         total[some] = np.einsum("ij,ij->j", Z, Z)
         information[some] = total[some] - np.einsum("ij,ij->j", cross, C @ cross)
     information = np.maximum(information, 1e-9 + 1e-6 * total)
-    lost = np.clip(score / information, 0.0, MAX_SLIP)
+    lost = np.clip(score / information, 0.0, 1.0)
     gains = lost * score - 0.5 * lost**2 * information
     gains[information < MIN_INFORMATION] = 0.0
     for i, patch in enumerate(model.patches):  # the same floor does not slip twice
@@ -117,11 +105,11 @@ def gains_of_discs(
     return gains, lost
 
 
-def refine_patch(model: WheelModel, i: int, terms: Sequence[Term], rng: np.random.Generator) -> None:
+def refine_patch(model: WheelModel, i: int, terms: Sequence[Term]) -> None:
     """Move a patch to the disc nearest to its posterior mean, and compute the covariance of s, x, y, r around it."""
     rest = [term for term in terms if term != model.patch_term(i)]
     track = model.patches[i].track
-    discs, _, lost, weight = _sampled(model, model.patches[i].disc, track, rest, rng)
+    discs, _, lost, weight = _posterior(model, model.patches[i].disc, track, rest)
     values = np.column_stack([lost, discs])
     middle = weight @ values
     likely = np.flatnonzero(weight >= 1 / len(weight))  # more than the average
@@ -133,60 +121,25 @@ def refine_patch(model: WheelModel, i: int, terms: Sequence[Term], rng: np.rando
     model.whiten()
 
 
-def _sampled(
-    model: WheelModel, disc: Floats, track: float, terms: Sequence[Term], rng: np.random.Generator
+def _posterior(
+    model: WheelModel, disc: Floats, track: float, terms: Sequence[Term]
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return discs (n, 3), the given one first, with their gains [nats], lost shares and weights (n,)."""
-    low, high = np.log(RADIUS_RANGE)
-    middle = np.array([disc[0], disc[1], np.log(disc[2])])
+    """Return the discs (n, 3) of the last lattice around a disc, with gains [nats], lost shares and weights (n,).
+
+    The most likely disc of all lattices is the first one.
+    """
+    best = middle = np.array([disc[0], disc[1], np.log(disc[2])])
     covariance = np.diag([(0.5 * disc[2] + CELL) ** 2] * 2 + [0.5])
-    x = middle[None]
-    gains, lost = gains_of_discs(model, disc[None], track, terms)
-    proposals = []
-    for _ in range(N_ROUNDS):
-        proposals.append((middle, covariance))
-        drawn = _draw(rng, middle, covariance)
-        drawn = drawn[(drawn[:, 2] > low) & (drawn[:, 2] < high)]
-        more_gains, more_lost = gains_of_discs(model, _discs(drawn), track, terms)
-        x = np.concatenate([x, drawn])
-        gains, lost = np.append(gains, more_gains), np.append(lost, more_lost)
-        log_q = np.logaddexp.reduce([_log_density(x, *one) for one in proposals], axis=0)
-        log_w = gains / EVIDENCE.temperature - 2 * x[:, 2] - log_q
-        broad = _tempered(log_w)
-        middle = broad @ x
+    for _ in range(N_LATTICES):
+        axes = np.linalg.cholesky(covariance)
+        x = np.concatenate([best[None], middle + LATTICE @ axes.T])
+        x[:, 2] = np.clip(x[:, 2], *np.log([RADII[0], RADII[-1]]))
+        discs = np.column_stack([x[:, :2], np.exp(x[:, 2])])
+        gains, lost = gains_of_discs(model, discs, track, terms)
+        log_p = gains / EVIDENCE.temperature - 2 * x[:, 2]
+        weight = np.exp(log_p - log_p.max())
+        weight /= weight.sum()
+        best, middle = x[int(np.argmax(gains))], weight @ x
         off = x - middle
-        covariance = (off * broad[:, None]).T @ off + 1e-8 * np.eye(3)
-    return _discs(x), gains, lost, _weights(log_w)
-
-
-def _draw(rng: np.random.Generator, middle: Floats, scale: Floats) -> Floats:
-    """Draw samples (n_samples, 3) of Student's t with a middle (3,) and a scale matrix (3, 3)."""
-    normal = rng.multivariate_normal(np.zeros(3), scale, size=N_SAMPLES)
-    return middle + normal / np.sqrt(rng.chisquare(TAILS, size=(N_SAMPLES, 1)) / TAILS)
-
-
-def _log_density(x: Floats, middle: Floats, scale: Floats) -> Floats:
-    """Return the log-density (n,) of Student's t at samples (n, 3), without constants."""
-    off = x - middle
-    square = np.einsum("ij,ij->i", off, np.linalg.solve(scale, off.T).T)
-    return np.asarray(-0.5 * (TAILS + 3) * np.log1p(square / TAILS) - 0.5 * np.linalg.slogdet(scale)[1])
-
-
-def _weights(log_w: Floats) -> Floats:
-    """Return weights (n,) that add up to 1."""
-    weight = np.exp(log_w - log_w.max())
-    return np.asarray(weight / weight.sum())
-
-
-def _tempered(log_w: Floats) -> Floats:
-    """Return weights (n,) to the largest power up to 1 that leaves LEAST_EFFECTIVE samples, 1 / Σ w²."""
-
-    def spare(power: float) -> float:
-        return float(1 / np.square(_weights(power * log_w)).sum()) - LEAST_EFFECTIVE
-
-    return _weights(log_w if spare(1.0) >= 0 else brentq(spare, 0.0, 1.0, xtol=1e-6) * log_w)
-
-
-def _discs(x: Floats) -> Floats:
-    """Return discs (n, 3) x, y, r of samples (n, 3) x, y, log r."""
-    return np.column_stack([x[:, :2], np.exp(x[:, 2])])
+        covariance = (off * weight[:, None]).T @ off + axes @ axes.T / 12
+    return discs, gains, lost, weight

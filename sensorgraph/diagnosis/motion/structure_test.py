@@ -10,7 +10,7 @@ few and many columns need the same evidence. Noise and columns are fitted in tur
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -43,48 +43,27 @@ class StructureFamily:
     least_change: float = 0.0
     """Change of its coefficients, as twice their standard deviation, that matters; 0: the error of a simulation without it
     decides."""
-    moment: float = float("nan")
-    """[s] time of the change, for families of a single change."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class AcceptedStructure:
-    """A family that entered the model, because no effect explains the difference."""
-
-    family: StructureFamily
-    evidence: float
-    """[nats]"""
-    threshold: float
-    """[nats] required evidence."""
-    size: SimulationError | ReferenceError
-    """Error of a simulation without it, or of the reference poses."""
-    rivals: Sequence[str] = ()
-    """Statements of the next best families."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ScreenedFamily:
-    """A family in addition to a model, with fixed noise."""
+class TestedFamily:
+    """A family in addition to a model: a hypothesis without a name."""
 
     family: StructureFamily
     evidence: float
     """[nats] less the price."""
-    price: float
-    """[nats] Occam factor of its columns, and the penalty for the choice of the family."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TestedStructure:
-    """Families that one test compared, for the ledger."""
-
-    families: Mapping[str, ScreenedFamily]
-    """Kind -> its most likely family."""
-    threshold: float
+    price: float | None
+    """[nats] Occam factor of its columns, and the penalty for the choice of the family; None: not screened."""
+    threshold: float = EVIDENCE.threshold
     """[nats] required evidence."""
-    best: AcceptedStructure | None = None
-    """The family with sufficient evidence; None without one."""
+    size: SimulationError | ReferenceError | None = None
+    """Error of a simulation without it, or of the reference poses; None: the evidence does not suffice."""
     is_material: bool = True
     """Whether it matters to a user."""
+    rivals: Sequence[str] = ()
+    """Statements of the next best families."""
+    beaten_by: TestedFamily | None = None
+    """Family with sufficient evidence that explains the data better."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,7 +104,7 @@ class StructureTest:
         self.valid, self.y, self.fit_noise, self.n = valid, y, fit_noise, len(valid)
         self._noise_of_rows = self._noise(y)
         self._noises: list[Noise] = []
-        self.tested: dict[str, ScreenedFamily] = {}
+        self.tested: dict[str, TestedFamily] = {}
         """Kind -> its most likely family of all comparisons."""
         white = WhiteningFilter.white(0, 1.0)
         self.whitener = Whitener.plain((white,) * (len(y) // len(valid)), valid)
@@ -252,7 +231,7 @@ class StructureTest:
         fitted = sum(columns @ some for (columns, _), some in zip(parts, by_part, strict=True))
         return self.y - fitted, price
 
-    def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[ScreenedFamily]:
+    def _screened(self, own: Floats, families: Sequence[StructureFamily]) -> list[TestedFamily]:
         """Return each family with its evidence in addition to columns (n_kinds n, k), with fixed noise."""
         parts = self._parts(own, None)
         parts += [(family.columns, np.full(family.columns.shape[1], family.sigma)) for family in families]
@@ -269,7 +248,7 @@ class StructureTest:
             gain, occam = _gain(H[np.ix_(mine, mine)], c[mine])
             evidence = (gain - occam) - (alone - paid) - family.choice_price
             price = occam - paid + family.choice_price
-            out.append(ScreenedFamily(family=family, evidence=evidence, price=price))
+            out.append(TestedFamily(family=family, evidence=evidence, price=price))
         return out
 
 

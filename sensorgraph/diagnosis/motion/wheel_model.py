@@ -21,7 +21,6 @@ from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation
 from sensorgraph.diagnosis.motion.increments import WheelIncrements, clock_sigma
 from sensorgraph.diagnosis.motion.reference_noise import FILTER_ORDER
 from sensorgraph.diagnosis.motion.regression import (
-    SHUT_SIGMA,
     BoundedPrior,
     Fit,
     Regression,
@@ -30,13 +29,13 @@ from sensorgraph.diagnosis.motion.regression import (
     ridge_solution,
 )
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import AcceptedStructure, TestedStructure
+from sensorgraph.diagnosis.motion.structure_test import TestedFamily
 from sensorgraph.diagnosis.motion.wheel_rows import WINDOW, OdometryRows
 from sensorgraph.diagnosis.motion.wheel_structure import in_curves
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, by_kind, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
 from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.interfaces import WheelMotion
+from sensorgraph.effects.interfaces import DrivenMotion
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
@@ -81,8 +80,8 @@ class WheelModel:
 
     def __init__(self, rows: OdometryRows, wheels: WheelIncrements, robot: Robot) -> None:
         self.rows, self.wheels, self.robot = rows, wheels, robot
-        found = [(effect, effect.diagnostics.wheel_regressor) for effect in EFFECTS.values()]
-        self.regressors = [(effect, one) for effect, one in found if one is not None]
+        found = [(effect, effect.diagnostics.regressor) for effect in EFFECTS.values()]
+        self.regressors = [(effect, one) for effect, one in found if one and effect.channel == self.channel]
         self.clock = len(self.regressors)
         """Column of the clock offset; those of the setup follow."""
         self.n_own = self.clock + 5
@@ -101,9 +100,9 @@ class WheelModel:
         self.A = self._own_columns()
         self.clusters = clusters_of(rows.stamps, 3)
         self.patches: list[SlipPatch] = []
-        self.structure: AcceptedStructure | None = None
-        self.tested: list[TestedStructure] = []
-        """Tests for structure, for the ledger."""
+        self.structure: TestedFamily | None = None
+        self.tested: list[TestedFamily] = []
+        """For the ledger."""
         self.last_patch: tuple[SlipPatch, float] | None = None
         """The best further patch, and its evidence [nats], when the selection ended."""
         sigmas = [float(np.std(part[rows.valid]) + 1e-12) for part in by_kind(self.y, rows.n)]
@@ -124,7 +123,7 @@ class WheelModel:
         """
         rows, motion = self.rows, self.motion
         distance, turn, nothing = rows.D_along @ motion.distance, rows.D_yaw @ motion.turn, np.zeros(rows.n)
-        moved = WheelMotion(
+        moved = DrivenMotion(
             distance=distance, turn=turn, path=rows.D_yaw @ motion.distance, base=self.robot.wheels.base
         )
         columns = [rows.of_kinds(*one.column(moved)) for _, one in self.regressors]
@@ -204,7 +203,7 @@ class WheelModel:
         sigma += [clock_sigma(self.robot), MARKER_SIGMA, ASKEW_SIGMA, np.inf, clock_sigma(self.robot)]
         if all(term.family != "askew" for term in self.terms):
             sigma[self.clock + 2] = np.inf  # the mount of a laser may be askew by any angle
-        sigma += [SHUT_SIGMA] * len(self.patches)
+        sigma += [0.0] * len(self.patches)
         k = len(sigma)
         if self.structure is not None:
             sigma += [self.structure.family.sigma] * self.structure.family.columns.shape[1]
@@ -244,7 +243,7 @@ class WheelModel:
         theta, effect = float(fit.solution.theta[term.column]), term.named
         if effect is WHEEL_SLIP:
             return self._slip(self.patches[term.column - self.n_own], theta, error)
-        key, regressor = effect.parameters[0].name, effect.diagnostics.wheel_regressor
+        key, regressor = effect.parameters[0].name, effect.diagnostics.regressor
         if regressor is not None:
             radius = [k for k, (one, _) in enumerate(self.regressors) if one is WHEEL_RADIUS]
             gain = 1 + float(fit.solution.theta[radius].sum())

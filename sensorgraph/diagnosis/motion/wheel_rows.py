@@ -18,6 +18,7 @@ from scipy import sparse
 from logs.run import Run
 from planners.arena import wrap
 from sensorgraph.diagnosis.motion.increments import (
+    MIN_ROWS,
     SAME_STAMP,
     ChannelSkippedError,
     WheelIncrements,
@@ -36,12 +37,7 @@ are compared; long against the offset of a usual clock."""
 AVERAGING_TIME = 0.1
 """[s] over which reference poses are averaged."""
 MIN_TRAVEL = 0.02
-"""[m] minimum extent of the reference along one axis, unless it turns by `min_rotation`; otherwise it
-does not move."""
-MIN_ROTATION = 0.05
-"""[rad] minimum rotation of the reference."""
-MIN_ROWS = 60
-"""Minimum number of rows, and of reference poses; with fewer, the channel is skipped."""
+"""[m or rad] minimum extent of the reference along one axis, or minimum turn; otherwise it does not move."""
 MIN_OVERLAP = 0.9
 """Share of the run during which poses and odometry overlap, below which a note reports it."""
 
@@ -231,7 +227,7 @@ def motion_signals(run: Run) -> MotionSignals:
     if len(stamps) < MIN_ROWS:
         raise ChannelSkippedError(f"this run has {len(stamps)} reference poses, expected at least {MIN_ROWS}")
     travel, rotation = np.ptp(poses[:, :2], axis=0).max(), np.ptp(wrap(poses[:, 2] - poses[0, 2]))
-    if travel < MIN_TRAVEL and rotation < MIN_ROTATION:
+    if travel < MIN_TRAVEL and rotation < MIN_TRAVEL:
         raise ChannelSkippedError("the reference poses of this run do not move")
     poses[:, 2] = np.unwrap(poses[:, 2])
     if run.pose_frame == "laser":

@@ -47,22 +47,17 @@ PARTS: tuple[Part, ...] = ("left wheel", "right wheel", "turn")
 """Quantities that may change separately: each wheel, and the distance between them."""
 Scale = tuple[Part, Bools | Floats]
 """Scaled quantity, and (n_increments,) the share of each increment that is scaled."""
-N_JUMPS = 45
+N_JUMPS = 90
 """Number of moments that are tried for a single change."""
 TIGHT_TURNS = (0.3, 1.0, 3.0)
 """Distance from the middle of the axle to the centre of rotation, in half wheelbases, below which a turn
 is tight."""
-N_NEARER = 11
-"""Number of moments that are tried about the best one."""
-N_CLOCK_PIECES = (5, 20)
-"""Numbers of pieces of the run with separate clock offsets; tried one after the other."""
-MIN_EXTENT = 1.5
-"""[m] minimum extent of a run for a reference that is distorted over the place; a camera is not distorted
-within less."""
 SPEED_CUTS = (0.12, 0.22, 0.32)
 """[m/s] limits between speeds, for a robot at 0.4 m/s; proportional for a faster one."""
 RATE_CUTS = (0.25, 0.5, 0.75)
 """[rad/s] limits between turn rates, for a robot at 1 rad/s; proportional for a faster one."""
+N_CLOCK_PIECES = 20
+"""Number of pieces of the run with separate clock offsets."""
 RADIUS_FACTORS = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
 """Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
 HIGHEST_WAVE = 5
@@ -71,8 +66,6 @@ HIGHEST_POWER = 4
 """Exclusive upper limit of the powers of a distorted position, along each axis and of both together."""
 N_REFERENCE_JUMPS = (1, 2, 4, 8, 16)
 """Numbers of jumps of the reference that are tried, each within a tenth of a second."""
-YAW_SIGMA = 0.02
-"""[rad] prior standard deviation of each wave of a distorted heading."""
 
 
 def odometry_families(
@@ -106,10 +99,13 @@ def odometry_families(
     scales.append(("curvature", "a scale that differs in tight turns: the tyres scrub", tight))
     families = [_scales(rows, wheels, size.base, *one) for one in scales]
     families += [_at_rest(rows, wheels), *scale_jumps(rows, wheels, size.base)]
-    families += [_clock_pieces(rows, n) for n in N_CLOCK_PIECES]
-    families += [*_turns_of_a_wheel(rows, wheels, size), _by_heading(rows, wheels), _sliding(rows, wheels)]
-    is_wide = np.ptp(rows.averages[:, :2], axis=0).max() >= MIN_EXTENT
-    if is_wide and not is_reference_straight:
+    families += [
+        _clock_pieces(rows),
+        *_turns_of_a_wheel(rows, wheels, size),
+        _by_heading(rows, wheels),
+        _sliding(rows, wheels),
+    ]
+    if not is_reference_straight:
         families += distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
 
@@ -157,23 +153,15 @@ def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     )
 
 
-def scale_jumps(
-    rows: OdometryRows, wheels: WheelIncrements, base: float, about: StructureFamily | None = None
-) -> list[StructureFamily]:
-    """Return one family for each of several moments at which scales may change once.
-
-    They are spread over the run, or about the moment of a family that was found.
-    """
+def scale_jumps(rows: OdometryRows, wheels: WheelIncrements, base: float) -> list[StructureFamily]:
+    """Return one family for each of several moments, spread over the run, at which scales may change once."""
     first, span, price = wheels.start[0], float(np.ptp(wheels.middle)), float(np.log(N_JUMPS))
     moments = first + span * np.arange(1, N_JUMPS + 1) / (N_JUMPS + 1)
-    if about is not None:
-        moments = about.moment + span / (N_JUMPS + 1) * np.linspace(-1.0, 1.0, N_NEARER)
-        price += float(np.log(N_NEARER))
     out = list[StructureFamily]()
     for moment in moments.tolist():
         scales: list[Scale] = [(part, wheels.middle > moment) for part in PARTS]
         statement = f"a scale that changes once, after {moment:.0f} s"
-        out.append(replace(_scales(rows, wheels, base, "jump", statement, scales, price), moment=moment))
+        out.append(_scales(rows, wheels, base, "jump", statement, scales, price))
     return out
 
 
@@ -195,11 +183,11 @@ def _speeds(rates: Floats) -> list[Scale]:
     return out + [("turn", omega > c) for c in rate_cuts]
 
 
-def _clock_pieces(rows: OdometryRows, n: int) -> StructureFamily:
-    """Return the family of clock offsets that change over time, in n pieces of the run."""
+def _clock_pieces(rows: OdometryRows) -> StructureFamily:
+    """Return the family of clock offsets that change over time."""
     share = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)
-    piece = np.clip((n * share).astype(np.intp), 0, n - 1)
-    columns = [rows.of_kinds(*((piece == k)[:, None] * rows.slopes).T) for k in range(n)]
+    piece = np.clip((N_CLOCK_PIECES * share).astype(np.intp), 0, N_CLOCK_PIECES - 1)
+    columns = [rows.of_kinds(*((piece == k)[:, None] * rows.slopes).T) for k in range(N_CLOCK_PIECES)]
     return StructureFamily(
         kind="clock",
         columns=np.stack(columns, axis=1),
@@ -317,7 +305,6 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
     yaw = StructureFamily(
         kind="reference yaw",
         columns=np.stack(turned, axis=1),
-        sigma=YAW_SIGMA,
         statement="a yaw error of the reference that depends on the place",
         is_of_reference=True,
     )
@@ -328,7 +315,6 @@ def distorted_reference(rows: OdometryRows, distance: Floats) -> list[StructureF
             yaw,
             kind="reference place",
             columns=np.stack(position, axis=1),
-            sigma=EVIDENCE.scale_sigma,
             statement=statement,
         ),
     ]
