@@ -67,7 +67,7 @@ def main() -> None:
         all_of.append(off)
         print(f"{path.name}: halves differ by", ", ".join(
             f"{name} {z:+.1f}" for name, z in zip(PARAMETERS, off[0], strict=True)), "standard errors")  # fmt: skip
-        print("  untouched:", change_lines(change_within(motion, calibrate(motion)))[0])
+        print("  untouched:", change_lines(change_within(calibrate(motion)))[0])
         half, middle = len(motion.first) // 2, motion.second[len(motion.first) // 2]
         for column, name in ((2, "turn_scale"), (0, "way_scale")):
             changed = planted(motion, column, args.plant)
@@ -77,7 +77,7 @@ def main() -> None:
                 f"  planted {name} {100 * args.plant:+.1f} % at {motion.stamps[middle] - motion.stamps[0]:.0f} s: "
                 f"{100 * one.value:+.2f} ± {100 * one.stderr:.2f} %, told: {one.differs and one.is_material}"
             )
-            print("    as one run:", change_lines(change_within(changed, calibrate(changed)))[0])
+            print("    as one run:", change_lines(change_within(calibrate(changed)))[0])
     off = np.abs(np.concatenate(all_of))
     told = compare(*parts)[0].threshold
     print(f"{len(off)} pairs of parts: {100 * (off < 2).mean():.1f} % of {off.size} parameters within 2 standard errors, "

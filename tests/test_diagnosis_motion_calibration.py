@@ -116,7 +116,7 @@ def changed() -> tuple[DrivingCalibration, Change | None]:
     """Return what a drive tells whose turn scale changes half-way, and the change."""
     motion = drive(later_turns=1.04)
     found = calibrate(motion)
-    return found, change_within(motion, found)
+    return found, change_within(found)
 
 
 def test_planted_wheels_mount_and_delay_are_found_within_their_standard_errors() -> None:
@@ -158,7 +158,7 @@ def test_a_turn_scale_that_changes_within_a_run_is_told_with_its_time() -> None:
 
 def test_wheels_that_hold_do_not_change_within_a_run() -> None:
     motion = drive(seed=3)
-    assert change_within(motion, calibrate(motion)) is None
+    assert change_within(calibrate(motion)) is None
 
 
 def test_effects_say_what_the_simulator_must_be_told() -> None:

@@ -22,6 +22,7 @@ from sensorgraph.diagnosis.motion.calibration.estimate import (
     DrivingCalibration,
     WindowRows,
 )
+from sensorgraph.diagnosis.motion.regression import BoundedPrior
 from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.without_reference import located_in, with_described_mount, with_driving
 from sensorgraph.effects import Amendment
@@ -107,11 +108,14 @@ def test_a_log_without_transforms_is_located_by_the_robots_mount(room: Arena) ->
 def driving(way: float) -> DrivingFinding:
     """Return what driving alone tells: by the laser's metre, ways are so many times the odometry's."""
     values = np.array([way, 1.0, 0.0, *ROBOT.sensor.mount, 0.0, 0.0, 0.0])
-    none = np.zeros((1, N_ALL, N_ALL))
+    none = np.zeros(N_ALL)
+    prior = BoundedPrior(mean=none, sigma=none + 1.0, reach=none + np.inf)
+    rows = WindowRows(
+        A=np.zeros((0, 3, N_ALL)), y=np.zeros((0, 3)), at=values, prior=prior, from_s=none[:0], floors=none
+    )
     found = DrivingCalibration(
         values=values, stderr=np.full(N_ALL, 5e-4), mount=np.asarray(ROBOT.sensor.mount), way_m=30.0,
-        turn_rad=40.0, duration_s=100.0,
-        rows=WindowRows(information=none, scores=none[0], prior=none[0], from_s=np.zeros(1)),
+        turn_rad=40.0, duration_s=100.0, rows=rows,
     )  # fmt: skip
     effects = effects_of(found, ROBOT.wheels.base)
     return DrivingFinding(runs={"run": found}, changes={"run": None}, differences=(), effects=effects)

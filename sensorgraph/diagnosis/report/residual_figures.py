@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import Enum
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.comparison import QUANTITIES, block_estimates
-from sensorgraph.diagnosis.motion.calibration.estimate import BLOCKS, PARAMETERS, DrivingCalibration
+from sensorgraph.diagnosis.motion.calibration.comparison import QUANTITIES
+from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration
+from sensorgraph.diagnosis.motion.calibration.laser_motion import BLOCKS
 from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
 from sensorgraph.diagnosis.result import ChannelResult, Gap, Profile
 from sensorgraph.show.figures.style import (
@@ -210,8 +212,12 @@ def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> N
     axes = figure.subplots(2, 3).ravel()
     start, ticks = 0.0, list[float]()
     for (name, found), colour in zip(runs.items(), (TEAL, ALARM), strict=False):
-        values, errors, middles = block_estimates(found, BLOCKS)
-        minutes = (start + middles) / 60.0
+        ends = np.linspace(0, found.rows.n, min(BLOCKS, found.rows.n) + 1).astype(np.intp)
+        parts = [found.part(slice(*some)) for some in pairwise(ends)]
+        middles = [
+            np.mean(np.append(found.rows.from_s, found.duration_s)[list(some)]) for some in pairwise(ends)
+        ]
+        minutes = (start + np.array(middles)) / 60.0
         span = np.array([start, start + found.duration_s]) / 60.0
         for k, (panel, parameter) in enumerate(zip(axes, PARAMETERS, strict=True)):
             factor, zero = QUANTITIES[parameter].factor, 1.0 if parameter.endswith("_scale") else 0.0
@@ -219,7 +225,12 @@ def calibration_picture(runs: Mapping[str, DrivingCalibration], path: Path) -> N
             panel.fill_between(span, middle - 2 * sd, middle + 2 * sd, color=colour, alpha=0.25, lw=0)
             panel.plot(span, [middle, middle], color=colour, lw=1.5, label=name)
             panel.errorbar(
-                minutes, factor * (values[:, k] - zero), factor * errors[:, k], fmt=".", color=colour, lw=0.8
+                minutes,
+                [factor * (part.values[k] - zero) for part in parts],
+                [factor * part.stderr[k] for part in parts],
+                fmt=".",
+                color=colour,
+                lw=0.8,
             )
             stated, label = factor * (found.stated[k] - zero), "" if start else "specified value"
             panel.plot(span, [stated, stated], color=INK, lw=FINE, ls=(0, (5, 3)), label=label)

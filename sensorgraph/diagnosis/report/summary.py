@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.comparison import EFFECT_OF
+from sensorgraph.diagnosis.motion.calibration.comparison import QUANTITIES
 from sensorgraph.diagnosis.report.considered import tolerated
 from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
 from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Gap, Rival, Unknown
@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
-OF_MOUNT = {EFFECT_OF[name] for name in ("mount_x", "mount_phi", "delay")}
+OF_MOUNT = {QUANTITIES[name].effect.name for name in ("mount_x", "mount_phi", "delay")}
 UNCHANGED = 0.97
 """Ratio of the RMS gap after to before, above which the gap is described as nearly unchanged."""
 QUIET_LASER = (

@@ -9,14 +9,11 @@ from statistics import NormalDist
 import numpy as np
 
 from sensorgraph.diagnosis.motion.calibration.estimate import (
-    BLOCKS,
-    NUISANCES,
     PARAMETERS,
     DrivingCalibration,
     WindowRows,
-    calibrate,
 )
-from sensorgraph.diagnosis.motion.calibration.laser_motion import WINDOW, LaserMotion
+from sensorgraph.diagnosis.motion.calibration.laser_motion import BLOCKS
 from sensorgraph.effects.effect import Effect
 from sensorgraph.effects.latency import LATENCY
 from sensorgraph.effects.mount_xy import MOUNT_XY
@@ -25,11 +22,8 @@ from sensorgraph.effects.range_scale import RANGE_SCALE
 from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
-from sensorgraph.types import Floats
 from sensorgraph.world.robot import Wheels
 
-LEAST_SIDE = 32
-"""Minimum number of windows before and after a change during a run."""
 LEVEL = 0.05
 """Probability of a reported difference between two equal runs (over all parameters, Bonferroni)."""
 
@@ -42,10 +36,17 @@ class Quantity:
     unit: str
     factor: float
     """From SI to the unit."""
-    materiality: float
-    """[SI] minimum size that is reported."""
+    effect: Effect
+    """Effect that it becomes in a report."""
     causes: str
     """Possible causes of a change."""
+    per_effect: float = 1.0
+    """[SI] Its change per unit of the effect."""
+
+    @property
+    def materiality(self) -> float:
+        """[SI] minimum size that is reported."""
+        return next(iter(self.effect.sizes.values())) * self.per_effect
 
     def text(self, value: float, stderr: float, *, sign: bool = True) -> str:
         """Return value and standard error in the unit."""
@@ -55,74 +56,54 @@ class Quantity:
         return f"{number}{space}{self.unit} ± {self.factor * stderr:.{digits}f}{space}{self.unit}"
 
 
-def _material(effect: Effect, index: int = 0) -> float:
-    """Return the materiality of a parameter of an effect."""
-    size = effect.parameters[index].materiality
-    assert size is not None
-    return size
-
-
 QUANTITIES: Mapping[str, Quantity] = {
     "way_scale": Quantity(
         title="distance scale",
         unit="%",
         factor=100.0,
-        materiality=_material(WHEEL_RADIUS, 0),
+        effect=WHEEL_RADIUS,
         causes="tyre pressure or wear, a load, another floor, or another laser",
     ),
     "turn_scale": Quantity(
         title="turn scale",
         unit="%",
         factor=100.0,
-        materiality=_material(WHEEL_BASE, 0),
+        effect=WHEEL_BASE,
         causes="a change of tyre, load or floor, which moves the contact points of the wheels",
     ),
     "heading_bias": Quantity(
         title="heading bias",
         unit="°/m",
         factor=float(np.degrees(1.0)),
-        materiality=_material(WHEEL_RADIUS_DIFF, 0) / Wheels().base,
+        effect=WHEEL_RADIUS_DIFF,
         causes="pressure loss or wear of one tyre, or a load on one side",
+        per_effect=1.0 / Wheels().base,
     ),
     "mount_x": Quantity(
         title="mount x",
         unit="cm",
         factor=100.0,
-        materiality=_material(MOUNT_XY, 0),
+        effect=MOUNT_XY,
         causes="the laser was moved, or a load shifts the centre of rotation",
     ),
     "mount_y": Quantity(
-        title="mount y",
-        unit="cm",
-        factor=100.0,
-        materiality=_material(MOUNT_XY, 1),
-        causes="the laser was moved",
+        title="mount y", unit="cm", factor=100.0, effect=MOUNT_XY, causes="the laser was moved"
     ),
     "mount_phi": Quantity(
         title="mount angle",
         unit="°",
         factor=float(np.degrees(1.0)),
-        materiality=_material(MOUNT_YAW, 0),
+        effect=MOUNT_YAW,
         causes="the laser was knocked, or the robot slides sideways on another floor",
     ),
     "delay": Quantity(
         title="scan delay",
         unit="ms",
         factor=1e3,
-        materiality=0.01,
+        effect=LATENCY,
         causes="another driver, or a busy computer",
     ),
 }
-EFFECT_OF: Mapping[str, str] = {
-    "way_scale": WHEEL_RADIUS.name,
-    "turn_scale": WHEEL_BASE.name,
-    "heading_bias": WHEEL_RADIUS_DIFF.name,
-    "mount_x": MOUNT_XY.name,
-    "mount_y": MOUNT_XY.name,
-    "mount_phi": MOUNT_YAW.name,
-    "delay": LATENCY.name,
-}
-"""Quantity -> effect that it becomes in a report."""
 ABSORBED: Mapping[str, str] = {
     RANGE_SCALE.name: "too long ranges enlarge the map and make the wheels seem too small by the same factor, so that the "
     "distance scale is relative to the laser",
@@ -174,9 +155,15 @@ class Change:
     """[s] since the first scan."""
 
 
-def compare(first: DrivingCalibration, second: DrivingCalibration) -> tuple[Difference, ...]:
-    """Compare wheels and mount of two runs, in the order of PARAMETERS."""
-    limit = _threshold(LEVEL / len(PARAMETERS))
+def compare(
+    first: DrivingCalibration, second: DrivingCalibration, n_tests: int = 1
+) -> tuple[Difference, ...]:
+    """Compare wheels and mount of two runs, in the order of PARAMETERS.
+
+    Parameters
+    ----------
+    n_tests : Number of such comparisons, which the threshold accounts for (Bonferroni).
+    """
     stderr = np.hypot(first.stderr, second.stderr)
     return tuple(
         Difference(
@@ -184,102 +171,53 @@ def compare(first: DrivingCalibration, second: DrivingCalibration) -> tuple[Diff
             first=float(first.values[k]),
             second=float(second.values[k]),
             stderr=float(stderr[k]),
-            threshold=limit,
+            threshold=most_by_chance(n_tests),
             is_shown=not (name in first.hidden or name in second.hidden),
         )
         for k, name in enumerate(PARAMETERS)
     )
 
 
-def change_within(motion: LaserMotion, found: DrivingCalibration) -> Change | None:
+def change_within(found: DrivingCalibration) -> Change | None:
     """Return the parameter that changed once during a run; None if none did.
 
-    Each border between blocks with at least a quarter of the run on either side is tried. Both sides are
-    calibrated separately and compared. The threshold accounts for the number of borders and parameters
-    (Bonferroni, in the spirit of Andrews 1993).
-
-    Parameters
-    ----------
-    found : Calibration of the whole run.
+    Each border between blocks with at least a quarter of the run on either side is tried (in the spirit of Andrews
+    1993). The change happened where two values of the parameter explain the rows best.
     """
-    n = len(motion.first)
+    n = found.rows.n
     if not is_long_enough(found):
         return None
     at = [n * b // BLOCKS for b in range(BLOCKS // 4, BLOCKS - BLOCKS // 4 + 1)]
-    splits = [k for k in at if min(k, n - k) >= WINDOW * LEAST_SIDE]
-    best: Difference | None = None
-    for k in splits:
-        sides = compare(calibrate(motion.part(slice(0, k))), calibrate(motion.part(slice(k, n))))
-        for one in sides:
-            one = replace(one, threshold=_threshold(LEVEL / (len(PARAMETERS) * len(splits))))
-            if one.differs and one.is_material and (best is None or _sigmas(one) > _sigmas(best)):
-                best = one
-    if best is None:
+    splits = [k for k in at if min(k, n - k) >= BLOCKS**2 // 2]
+    sides = [(found.part(slice(0, k)), found.part(slice(k, n))) for k in splits]
+    told = [one for pair in sides for one in compare(*pair, len(splits)) if one.differs and one.is_material]
+    if not told:
         return None
+    best = max(told, key=lambda one: abs(one.value) / one.stderr)
     return Change(difference=best, at_s=_time_of(found.rows, PARAMETERS.index(best.name)))
 
 
 def is_long_enough(found: DrivingCalibration) -> bool:
-    """Tell whether a run has enough windows before and after a change to show it."""
-    return len(found.rows.scores) >= 2 * LEAST_SIDE
-
-
-def part_of(rows: WindowRows, chosen: slice) -> WindowRows:
-    """Return some windows."""
-    return replace(
-        rows,
-        information=rows.information[chosen],
-        scores=rows.scores[chosen],
-        from_s=rows.from_s[chosen],
-    )
-
-
-def block_estimates(found: DrivingCalibration, blocks: int) -> tuple[Floats, Floats, Floats]:
-    """Return estimates (blocks, 9) and standard errors (blocks, 9) for the parts of a run, and their middles [s].
-
-    A run of fewer windows has fewer parts, and a short drive none.
-    """
-    rows, n = found.rows, len(found.rows.scores)
-    blocks = min(blocks, n)
-    values, errors = np.zeros((blocks, found.values.size)), np.zeros((blocks, found.values.size))
-    ends = np.append(rows.from_s, found.duration_s)
-    middles = np.zeros(blocks)
-    for b in range(blocks):
-        own = part_of(rows, slice(n * b // blocks, n * (b + 1) // blocks))
-        inverse = np.linalg.inv(own.information.sum(axis=0) + rows.prior)
-        values[b] = found.values + inverse @ own.scores.sum(axis=0)
-        errors[b] = np.sqrt(np.diagonal(inverse @ (own.scores.T @ own.scores) @ inverse))
-        middles[b] = 0.5 * (ends[n * b // blocks] + ends[n * (b + 1) // blocks])
-    return values, errors, middles
+    """Tell whether a run has enough windows to show a change: as many in each block as there are blocks."""
+    return found.rows.n >= BLOCKS**2
 
 
 def _time_of(rows: WindowRows, parameter: int) -> float:
-    """Return the time [s] at which one parameter changed: where two fits gain most over one.
-
-        gain_k = (S_k - S_n I_k / I_n)² / (I_k (1 - I_k / I_n))
-
-    S_k and I_k are the score and the information of the parameter up to window k, with the other parameters
-    projected out.
-    """
-    n = len(rows.scores)
-    least = max(n // BLOCKS, 1)
-    total = rows.information.sum(axis=0) + rows.prior
-    kept = [k for k in range(len(PARAMETERS) + len(NUISANCES)) if k != parameter]
-    # score and information of the parameter, with the other parameters projected out
-    share = total[np.ix_([parameter], kept)] @ np.linalg.inv(total[np.ix_(kept, kept)])
-    row = np.zeros(len(total))
-    row[parameter], row[kept] = 1.0, -share[0]
-    score = np.cumsum(rows.scores @ row)
-    information = np.cumsum(np.einsum("a,kab,b->k", row, rows.information, row))
-    left, all_of = information[least - 1 : n - least], information[-1]
-    gain = (score[least - 1 : n - least] - score[-1] * left / all_of) ** 2 / (left * (1 - left / all_of))
-    return float(rows.from_s[least + int(np.argmax(gain))])
+    """Return the time [s] at which one parameter changed: the most likely one, an eighth of the run from either end."""
+    prior = replace(
+        rows.prior,
+        **{
+            k: np.append(v, getattr(rows.prior, k))
+            for k, v in (("mean", 0.0), ("sigma", np.inf), ("reach", np.inf))
+        },
+    )
+    first, gains = max(rows.n // BLOCKS, 1), []
+    for k in range(first, rows.n - first + 1):
+        late = rows.A[:, :, parameter] * (np.arange(rows.n) >= k)[:, None]
+        gains.append(rows.regression(late).solve(prior).log_posterior)
+    return float(rows.from_s[first + int(np.argmax(gains))])
 
 
-def _sigmas(one: Difference) -> float:
-    return abs(one.value) / one.stderr
-
-
-def _threshold(level: float) -> float:
-    """Return the number of standard errors that chance exceeds with this probability."""
-    return NormalDist().inv_cdf(1 - level / 2)
+def most_by_chance(n_tests: int) -> float:
+    """Return the standard errors that the largest of all parameters exceeds by chance in one of 20 equal pairs of runs."""
+    return NormalDist().inv_cdf(1 - LEVEL / (2 * len(PARAMETERS) * n_tests))

@@ -16,13 +16,13 @@ from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger
 from sensorgraph.diagnosis.engine.why import why
 from sensorgraph.diagnosis.ledger import effect_entry, least_size, needs_of
 from sensorgraph.diagnosis.motion.calibration.comparison import (
-    EFFECT_OF,
     QUANTITIES,
     Change,
     Difference,
     change_within,
     compare,
     is_long_enough,
+    most_by_chance,
 )
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion, with_moving_odometry
@@ -37,11 +37,9 @@ from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import ProgressBars, no_progress
 
-SURE = 2.64
+SURE = most_by_chance(1)
 """Standard errors. Of 100 robots without any error, five exceed it in one of the six parameters."""
-LEAST_DRIFT = 0.005
-"""[m/m] minimum drift with the floor that is reported."""
-THRESHOLD = 0.5 * SURE**2
+THRESHOLD = SURE**2 / 2
 """[nats] Evidence of an estimate that is `SURE` standard errors off."""
 CHANGE = ODOMETRY_FAMILIES["jump"]
 """Name in the ledger, and noun phrase, of a change at a moment."""
@@ -97,7 +95,7 @@ class DrivingFinding:
         """Return the effects that the last run does not show, with the reason."""
         found = list(self.runs.values())[-1]
         return {
-            EFFECT_OF[name]: f"{QUANTITIES[name].title}: {why}"
+            QUANTITIES[name].effect.name: f"{QUANTITIES[name].title}: {why}"
             for name, why in reversed(found.hidden.items())
         }
 
@@ -141,7 +139,7 @@ def diagnose_driving(
             raise SensorgraphError(f"{name}: {exc}; give an arena to diagnose the laser alone") from exc
         with progress("calibrating wheels and mount", ""):
             found[name] = calibrate(motion)
-            changes[name] = change_within(motion, found[name])
+            changes[name] = change_within(found[name])
     first, *others = found.values()
     return DrivingFinding(
         runs=found,
@@ -160,7 +158,7 @@ def driving_ledger(found: DrivingCalibration, change: Change | None, base: float
     change : Change during the run, if there is one.
     base : [m] Wheelbase that the odometry uses; None: unknown, so that unequal wheels have no size.
     """
-    hidden = {EFFECT_OF[name]: why for name, why in reversed(found.hidden.items())}
+    hidden = {QUANTITIES[name].effect.name: why for name, why in reversed(found.hidden.items())}
     if base is None:
         hidden.setdefault(WHEEL_RADIUS_DIFF.name, "it needs the wheelbase; give --robot with wheels.base")
     if LATENCY.name not in hidden:
@@ -297,33 +295,21 @@ def _short(value: float) -> str:
 
 def lines_of(found: DrivingCalibration) -> list[str]:
     """Return the calibration of one run, one line per quantity."""
-    q = QUANTITIES
-    (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
-    scale = f"correction to the odometry (in {found.metre} length scale)"
-    shown = {
-        "way_scale": f"{q['way_scale'].text(way - 1, way_sd)}, {scale}",
-        "turn_scale": f"{q['turn_scale'].text(turn - 1, turn_sd)}, correction to the odometry",
-        "heading_bias": f"{q['heading_bias'].text(bias, bias_sd)}, missing in the odometry (wheels of unequal size)",
+    corrections = {
+        "way_scale": f"correction to the odometry (in {found.metre} length scale)",
+        "turn_scale": "correction to the odometry",
+        "heading_bias": "missing in the odometry (wheels of unequal size)",
     }
-    lines = [f"{q[name].title}: {text}" for name, text in shown.items() if name not in found.hidden]
-    lines += [*_mount_lines(found), *_delay_lines(found), *_floor_lines(found)]
-    return lines + [f"{q[name].title}: not observable, {why}" for name, why in found.hidden.items()]
-
-
-def _mount_lines(found: DrivingCalibration) -> list[str]:
-    """Return the mount as one line, or as one per quantity if the drive does not show all of it."""
-    names, q = PARAMETERS[3:], QUANTITIES
-    mount = {name: q[name].text(*found.of(name)) for name in names if name not in found.hidden}
-    scaled = zip(names, found.mount * [100.0, 100.0, float(np.degrees(1.0))], ("cm", "cm", "°"), strict=True)
-    stated = {
-        name: f"{v:.1f}{'' if unit == '°' else ' '}{unit}".replace("-", "−") for name, v, unit in scaled
-    }
-    if len(mount) < len(names):
-        return [f"{q[name].title}: {text} (specified: {stated[name]})" for name, text in mount.items()]
-    x, y, phi = mount.values()
-    return [
-        f"laser: {x} ahead of the axle, {y} to the left, turned by {phi} (specified: {', '.join(stated.values())})"
-    ]
+    lines = []
+    for name, stated in zip(PARAMETERS, found.stated.tolist(), strict=True):
+        (value, sd), q = found.of(name), QUANTITIES[name]
+        if name in corrections and name not in found.hidden:
+            lines.append(f"{q.title}: {q.text(value - stated, sd)}, {corrections[name]}")
+        elif name not in found.hidden:
+            number = f"{q.factor * stated:.1f}".replace("-", "−")
+            lines.append(f"{q.title}: {q.text(value, sd)} (specified: {number} {q.unit})")
+    lines += [*_delay_lines(found), *_floor_lines(found)]
+    return lines + [f"{QUANTITIES[name].title}: not observable, {why}" for name, why in found.hidden.items()]
 
 
 def _delay_lines(found: DrivingCalibration) -> list[str]:
@@ -344,7 +330,7 @@ def _floor_lines(found: DrivingCalibration) -> list[str]:
     """Return the drift with the floor, if there is one."""
     drift = found.values[-2:]
     size, sd = float(np.hypot(*drift)), float(found.stderr[-2:].max())
-    if size <= max(LEAST_DRIFT, SURE * sd):
+    if size <= max(QUANTITIES["way_scale"].materiality, SURE * sd):
         return []
     return [
         f"floor: moves the robot {100 * size:.1f} ± {100 * sd:.1f} cm per metre towards "

@@ -8,10 +8,13 @@ Simultaneous calibration of odometry and sensor parameters for mobile robots, IE
 are fitted as well: the delay between scans and odometry, and the drift of the robot with the floor, along x
 and y.
 
-The residuals of the steps are summed over windows, so that stamp errors cancel. They have Student's t
-distribution, which limits the influence of slip. The estimate is found by iteratively reweighted Gauss-Newton
-steps. The standard errors are those of a jackknife over long blocks of the run (Quenouille 1956; Cameron and
-Miller 2015), at least those of independent windows. They are widened so that twice their value covers 95 %.
+    r_c = J_c (theta - theta_0) + L_c e_c,   e_c ~ Student's t with variance s_c,   s_c ~ scaled inverse chi²
+
+r_c are the residuals of the motion in c = x, y, phi, summed over windows, so that stamp errors cancel, and L_c Lᵀ_c is
+their usual covariance. Expectation maximisation finds the noise factors s (Lange, Little and Taylor 1989). The whitened
+rows are those of the regression of the motion channels; the standard errors are those of independent windows, or of
+long blocks of the run if larger (Liang and Zeger 1986; Cameron and Miller 2015). Student's t widens them, so that twice
+their value covers 95 %.
 
 The constants were chosen on intel, fr079 and aces, and on parts of one located log (`benchmarks.halves`).
 """
@@ -24,15 +27,15 @@ import numpy as np
 
 from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.laser_motion import (
-    LEAST_WINDOWS,
+    BLOCKS,
     STEP_TURN,
     STEP_WAY,
     WINDOW,
     LaserMotion,
 )
+from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
 from sensorgraph.localization.settings import WHEELS
 from sensorgraph.localization.wheels import corrected_steps
-from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats
 
 PARAMETERS = ("way_scale", "turn_scale", "heading_bias", "mount_x", "mount_y", "mount_phi")
@@ -41,58 +44,76 @@ in base_link [m, m, rad]."""
 NUISANCES = ("delay", "drift_x", "drift_y")
 """[s] delay of a scan after the odometry at its stamp; [m/m] drift with the floor, in map."""
 N_ALL = len(PARAMETERS) + len(NUISANCES)
-MOUNT_X, YAW = 3, 5
 PRIOR_ERRORS = np.array([0.3, 0.3, 0.1, 0.3, 0.3, 0.3, 0.3, 0.02, 0.02])
 """(9,) prior standard deviations of PARAMETERS and NUISANCES: of the scales, the heading bias [rad/m], the mount [m, rad],
-the delay [s], and the drift with the floor (slope, nap of a carpet)."""
-DIFFERENCES = np.array([1e-4] * 6 + [1e-2] + [1e-4] * 2)
-"""Steps of the numerical derivatives."""
-BLOCKS = 8
-"""Number of parts of a run that count as independent in the standard errors: slip and floors last for minutes."""
-SHOWN_STEPS = 2.0
-"""Number of steps of distance or turn; a quantity that less motion hides is hidden by the lack of it."""
+the delay [s], and the drift with the floor (slope, nap of a carpet). Half of one, as a standard error, hides a quantity."""
 TAIL = 4.0
 """Degrees of freedom of Student's t for the residuals."""
-ITERATIONS = 8
-"""Gauss-Newton steps."""
+MAX_ROUNDS = 30
+"""Maximum number of steps of expectation maximisation; outliers lose their weight slowly."""
 SETTLED = 0.02
 """Change of every parameter, in standard errors, below which these steps end."""
-LEAST_BLOCK = 5
-"""Minimum number of windows in a block. Shorter runs have fewer blocks, at least four, and larger
-standard errors."""
-HIDDEN_SHARE = 0.5
-"""Standard error, relative to the prior standard deviation, above which a drive does not show a quantity."""
-SHORT_ITERATIONS = 30
-"""Maximum number of steps of a short drive; outliers lose their weight slowly (EM)."""
 NOISE_FREEDOM = 1.0
 """Degrees of freedom of the prior of a noise factor: the noise may be several times larger or smaller than usual."""
 USUAL_SLIP = 0.3
 """Usual slip of wheels, relative to the noise that localization expects of them (`WheelSettings`)."""
 STAMP_ERRORS = (0.003, 0.003, 0.002)
 """[m, m, rad] error of a pose that the scans do not show: wrong stamps, above all. It cancels from step to step."""
-DERIVATIVES = 3
-"""Number of initial steps in which the derivatives are updated."""
 SIDEWAYS_SD = 0.0026
-"""[rad] variation of the direction of travel between floors, beyond the scatter within a run. It adds to
-the standard error of the mount's yaw. The eighths of intel and aces show 0.15°, those of fr079 less."""
+"""[rad] variation of the direction of travel between floors, beyond the scatter within a run. It adds to the standard
+error of the mount's yaw. The eighths of intel and aces show 0.15°, those of fr079 less."""
 CENTRE_SD = 0.008
-"""[m] variation of the point about which the base turns, between floors and ways of turning. It adds to the standard
-error of the mount's x of a short drive; long ones contain it. Pieces of fr079 and aces show 8 mm, those of intel
-less."""
+"""[m] variation of the point about which the base turns, between floors and ways of turning. It adds to the standard error
+of the mount's x of a short drive; long ones contain it. Pieces of fr079 and aces show 8 mm, those of intel less."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindowRows:
-    """Linearised problem at the estimate, one row per window."""
+    """Whitened rows of the windows, linearised at `at`: y = A (theta - at) + white noise."""
 
-    information: Floats
-    """(n_windows, 9, 9)"""
-    scores: Floats
-    """(n_windows, 9)"""
-    prior: Floats
-    """(9, 9)"""
+    A: Floats
+    """(n_windows, 3, 9)"""
+    y: Floats
+    """(n_windows, 3)"""
+    at: Floats
+    """(9,)"""
+    prior: BoundedPrior
+    """Of theta - at."""
     from_s: Floats
     """(n_windows,) [s] start of each window, since the first scan."""
+    floors: Floats
+    """(9,) standard deviations between floors, which the windows do not show."""
+
+    @property
+    def n(self) -> int:
+        """Number of windows."""
+        return len(self.y)
+
+    def part(self, chosen: slice) -> WindowRows:
+        """Return some windows."""
+        return replace(self, A=self.A[chosen], y=self.y[chosen], from_s=self.from_s[chosen])
+
+    def regression(self, more: Floats | None = None) -> Regression:
+        """Return the regression of all rows, with a further column (n_windows, 3) in front."""
+        A = self.A if more is None else np.concatenate([more[:, :, None], self.A], axis=2)
+        return Regression.of(A.reshape(-1, A.shape[2]), self.y.ravel())
+
+    def estimate(self) -> tuple[Floats, Floats]:
+        """Return values and standard errors (9,)."""
+        from scipy.stats import t as student  # slow to import, and rarely needed
+
+        def widening(freedom: float) -> float:
+            return float(student.ppf(0.975, freedom) / student.ppf(0.975, np.inf))
+
+        regression = self.regression()
+        fit = regression.solve(self.prior)
+        stderr = np.sqrt(np.diag(fit.covariance)) * widening(NOISE_FREEDOM + self.n)
+        blocks = min(BLOCKS, self.n)
+        if blocks > 1:
+            block = np.repeat(np.arange(self.n) * blocks // self.n, 3)
+            robust = np.sqrt(regression.robust_variances(fit, block) * blocks / (blocks - 1))
+            stderr = np.maximum(stderr, robust * widening(blocks - 1))
+        return self.at + fit.theta, np.hypot(stderr, self.floors)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,6 +145,12 @@ class DrivingCalibration:
         k = (*PARAMETERS, *NUISANCES).index(name)
         return float(self.values[k]), float(self.stderr[k])
 
+    def part(self, chosen: slice) -> DrivingCalibration:
+        """Return the calibration by some windows, linearised at that of all."""
+        rows = self.rows.part(chosen)
+        values, stderr = rows.estimate()
+        return replace(self, values=values, stderr=stderr, rows=rows)
+
     def by_metre(self, stretch: float, stderr: float) -> DrivingCalibration:
         """Return the calibration for a laser whose ranges are too long by a factor, known within a standard error."""
         values, errors = self.values.copy(), self.stderr.copy()
@@ -134,13 +161,8 @@ class DrivingCalibration:
 
 def calibrate(motion: LaserMotion) -> DrivingCalibration:
     """Estimate wheels and mount from one run; a short one has large standard errors."""
-    before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
-    prior = np.diag(PRIOR_ERRORS**-2.0)
-    if len(motion.first) < WINDOW * LEAST_WINDOWS:
-        values, stderr, rows = _from_few_steps(motion, before, prior)
-    else:
-        values, stderr, rows = _from_windows(motion, before, prior)
-    stderr[YAW] = np.hypot(stderr[YAW], SIDEWAYS_SD)
+    rows = whitened_rows(motion, WINDOW if len(motion.first) >= WINDOW * BLOCKS else 1)
+    values, stderr = rows.estimate()
     way = float(np.hypot(*np.diff(motion.odometry[:, :2], axis=0).T).sum())
     turn = float(np.abs(np.diff(motion.odometry[:, 2])).sum())
     return DrivingCalibration(
@@ -166,63 +188,52 @@ def hidden_parameters(stderr: Floats, way: float, turn: float) -> dict[str, str]
     if way == turn == 0.0:
         short_way = short_turn = "the odometry never moves"
     else:
-        short_way = f"the robot drove {way:.1f} m" if way < SHOWN_STEPS * STEP_WAY else ""
-        short_turn = f"the robot turned by {np.degrees(turn):.0f}°" if turn < SHOWN_STEPS * STEP_TURN else ""
+        short_way = f"the robot drove {way:.1f} m" if way < 2 * STEP_WAY else ""
+        short_turn = f"the robot turned by {np.degrees(turn):.0f}°" if turn < 2 * STEP_TURN else ""
     lacks = dict.fromkeys(PARAMETERS, short_way)
     lacks |= dict.fromkeys(("turn_scale", "mount_x", "mount_y"), short_turn)
     lacks["delay"] = short_way and short_turn
-    names = (*PARAMETERS, "delay")
     other = dict.fromkeys(
-        names, "the drive does not separate it from the others; drive straight and turn to both sides"
+        lacks, "the drive does not separate it from the others; drive straight and turn to both sides"
     )
     other["delay"] = "the speed hardly changes during the drive"
-    limits = HIDDEN_SHARE * PRIOR_ERRORS[: len(names)]
-    is_hidden = stderr[: len(names)] > limits
-    return {name: lacks[name] or other[name] for name, hides in zip(names, is_hidden, strict=True) if hides}
+    is_hidden = stderr > PRIOR_ERRORS / 2
+    return {name: lacks[name] or other[name] for name, hides in zip(lacks, is_hidden, strict=False) if hides}
 
 
-def _from_few_steps(motion: LaserMotion, before: Floats, prior: Floats) -> tuple[Floats, Floats, WindowRows]:
-    """Return values and standard errors (9,) of a drive whose noise has a prior; there are no windows.
-
-        r_c = J_c (theta - theta_0) + L_c e_c,   e_c ~ Student's t with variance s_c,   s_c ~ scaled inverse chi²
-
-    r_c are the residuals of the steps in c = x, y, phi, and L_c Lᵀ_c is their usual covariance (`step_covariances`).
-    The factors s are found by expectation maximisation (Lange, Little and Taylor 1989). Student's t with the degrees of
-    freedom of factor and steps widens the standard errors.
-    """
-    from scipy.stats import t as student  # slow to import, and rarely needed
-
-    n, nothing = len(motion.first), np.zeros((0, N_ALL))
-    rows = WindowRows(
-        information=np.zeros((0, N_ALL, N_ALL)), scores=nothing, prior=prior, from_s=np.zeros(0)
-    )
+def whitened_rows(motion: LaserMotion, window: int) -> WindowRows:
+    """Return the rows of all windows of this many steps, linearised at the estimate."""
+    n = len(motion.first) // window
+    begins = motion.stamps[motion.first[::window][:n]] - motion.stamps[0]
+    before = np.concatenate([[1.0, 1.0, 0.0], motion.mount, np.zeros(3)])
+    prior = BoundedPrior(mean=np.zeros(N_ALL), sigma=PRIOR_ERRORS, reach=np.full(N_ALL, np.inf))
+    floors = np.array([0.0, 0.0, 0.0, CENTRE_SD if window == 1 else 0.0, 0.0, SIDEWAYS_SD, 0.0, 0.0, 0.0])
+    A, y = np.zeros((n, 3, N_ALL)), np.zeros((n, 3))
+    rows = WindowRows(A=A, y=y, at=before, prior=prior, from_s=begins, floors=floors)
     if not n:
-        return before, PRIOR_ERRORS.copy(), rows
-    theta, inverse = before.copy(), np.diag(PRIOR_ERRORS**2)
-    whitening, factors = np.linalg.inv(np.linalg.cholesky(step_covariances(motion))), np.ones(3)
-    for _ in range(SHORT_ITERATIONS):
-        residuals = np.einsum("cmn,nc->mc", whitening, _residuals(motion, theta))
-        jacobians = np.einsum("cmn,nca->mca", whitening, _derivatives(motion, theta, 1))
-        spread = np.einsum("nca,ab,ncb->nc", jacobians, inverse, jacobians)  # of what theta leaves uncertain
-        squares = residuals**2 + spread
+        return rows
+    theta, covariance, factors = before, np.diag(PRIOR_ERRORS**2), np.ones(3)
+    whitening = np.linalg.inv(np.linalg.cholesky(window_covariances(motion, window)))
+    for _ in range(MAX_ROUNDS):
+        y = np.einsum("cmn,nc->mc", whitening, _added(_residuals(motion, theta), window))
+        A = np.einsum("cmn,nca->mca", whitening, _derivatives(motion, theta, window))
+        squares = y**2 + np.einsum("nca,ab,ncb->nc", A, covariance, A)  # with what theta leaves uncertain
         weights = (TAIL + 1) / (TAIL + squares / factors)
         factors = (NOISE_FREEDOM + (weights * squares).sum(axis=0)) / (NOISE_FREEDOM + n)
-        weights = weights / factors
-        inverse = np.linalg.inv(np.einsum("nc,nca,ncb->ab", weights, jacobians, jacobians) + prior)
-        score = np.einsum("nc,nca,nc->a", weights, jacobians, residuals) - prior @ (theta - before)
-        moved = inverse @ score
-        theta += moved
-        if (np.abs(moved) < SETTLED * np.sqrt(np.diagonal(inverse))).all():
+        root = np.sqrt(weights / factors)
+        here = replace(prior, mean=before - theta)
+        rows = replace(rows, A=root[:, :, None] * A, y=root * y, at=theta, prior=here)
+        fit = rows.regression().solve(here)
+        theta, covariance = theta + fit.theta, fit.covariance
+        if (np.abs(fit.theta) < SETTLED * np.sqrt(np.diag(covariance))).all():
             break
-    stderr = np.sqrt(np.diagonal(inverse)) * student.ppf(0.975, NOISE_FREEDOM + n) / 1.96
-    stderr[MOUNT_X] = np.hypot(stderr[MOUNT_X], CENTRE_SD)
-    return theta, stderr, rows
+    return rows
 
 
-def step_covariances(motion: LaserMotion) -> Floats:
-    """Return the usual covariances (3, n, n) [m², m², rad²] of steps: by the scans, by slip, and by wrong stamps.
+def window_covariances(motion: LaserMotion, window: int) -> Floats:
+    """Return the usual covariances (3, n, n) [m², m², rad²] of n windows: by the scans, by slip, and by wrong stamps.
 
-    An error of a stamp cancels from step to step.
+    An error of a stamp cancels from step to step, and between windows.
     """
     steps = compose(invert(motion.odometry[:-1]), motion.odometry[1:])
     ways = np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
@@ -233,64 +244,19 @@ def step_covariances(motion: LaserMotion) -> Floats:
             WHEELS.ahead_per_metre * way + WHEELS.place_per_turn * turn,
             WHEELS.left_per_metre * way + WHEELS.place_per_turn * turn,
             WHEELS.turn_per_metre * way + WHEELS.turn_per_turn * turn,
-        ]
+        ],
+        axis=1,
     )
-    own = np.square(np.maximum(slip, 1e-6))
-    if motion.scatter is not None:
-        own = own + motion.scatter.T
-    n = len(way)
-    ends = 2 * np.eye(n)
-    k = np.flatnonzero(motion.second[:-1] == motion.first[1:])
-    ends[k, k + 1] = ends[k + 1, k] = -1.0
-    return np.asarray(own[:, :, None] * np.eye(n) + np.square(STAMP_ERRORS)[:, None, None] * ends)
-
-
-def _from_windows(motion: LaserMotion, before: Floats, prior: Floats) -> tuple[Floats, Floats, WindowRows]:
-    """Return values and standard errors (9,) of a drive whose windows show the noise, and its rows."""
-    theta = before.copy()
-    information, scores = np.zeros((1, N_ALL, N_ALL)), np.zeros((1, N_ALL))
-    jacobians = np.zeros((1, 3, N_ALL))
-    for iteration in range(ITERATIONS):
-        residuals = _added(_residuals(motion, theta), WINDOW)
-        if iteration < DERIVATIVES:
-            jacobians = _derivatives(motion, theta, WINDOW)
-        scale = SIGMA_OF_MAD * np.median(np.abs(residuals), axis=0) + 1e-9
-        weights = (TAIL + 1) / (TAIL + (residuals / scale) ** 2) / scale**2
-        information = np.einsum("kc,kca,kcb->kab", weights, jacobians, jacobians)
-        scores = np.einsum("kc,kca,kc->ka", weights, jacobians, residuals)
-        gradient = scores.sum(axis=0) - prior @ (theta - before)
-        theta += np.linalg.solve(information.sum(axis=0) + prior, gradient)
-    begins = motion.stamps[motion.first[::WINDOW][: len(scores)]] - motion.stamps[0]
-    rows = WindowRows(information=information, scores=scores, prior=prior, from_s=begins)
-    blocks = min(max(len(scores) // LEAST_BLOCK, 4), BLOCKS)
-    return theta, standard_errors(rows, blocks), rows
-
-
-def standard_errors(rows: WindowRows, blocks: int) -> Floats:
-    """Return the standard errors (9,): of the jackknife over blocks, or of independent windows if larger.
-
-        jackknife²   = (blocks - 1) / blocks  sum over b of (theta without block b - theta)²
-        independent² = diag(H⁻¹ S'S H⁻¹),   H = total information,   S = scores (n_windows, 9)
-
-    The jackknife is linearised at theta. Student's t with blocks - 1 degrees of freedom widens it.
-    """
-    from scipy.stats import t as student  # slow to import, and rarely needed
-
-    total = rows.information.sum(axis=0) + rows.prior
-    scores = rows.scores
-    n = len(scores)
-    block = np.arange(n) * blocks // n
-    moves = np.array(
-        [
-            np.linalg.solve(total - rows.information[block == b].sum(axis=0), -scores[block == b].sum(axis=0))
-            for b in range(blocks)
-        ]
-    )
-    widening = student.ppf(0.975, blocks - 1) / 1.96
-    jackknife = widening * np.sqrt((blocks - 1) / blocks * (moves**2).sum(axis=0))
-    inverse = np.linalg.inv(total)
-    independent = np.sqrt(np.diagonal(inverse @ (scores.T @ scores) @ inverse))
-    return np.asarray(np.maximum(jackknife, independent))
+    own = np.square(np.maximum(slip, 1e-6)) + (0.0 if motion.scatter is None else motion.scatter)
+    n = len(way) // window
+    of = np.arange(n * window) // window
+    joins = motion.second[: n * window - 1] == motion.first[1 : n * window]
+    before, after = of[:-1][joins], of[1:][joins]
+    ends = 2.0 * window * np.eye(n)
+    np.add.at(ends, (before, after), -1.0)
+    np.add.at(ends, (after, before), -1.0)
+    variances = _added(own, window).T
+    return np.asarray(variances[:, :, None] * np.eye(n) + np.square(STAMP_ERRORS)[:, None, None] * ends)
 
 
 def _added(values: Floats, window: int) -> Floats:
@@ -302,7 +268,7 @@ def _added(values: Floats, window: int) -> Floats:
 def _derivatives(motion: LaserMotion, theta: Floats, window: int) -> Floats:
     """Return the derivatives (n_windows, 3, 9) of the predicted motion of each window, in the laser frame."""
     columns = []
-    for k, step in enumerate(DIFFERENCES):
+    for k, step in enumerate(PRIOR_ERRORS / 30):
         change = np.zeros(N_ALL)
         change[k] = step
         off = _residuals(motion, theta - change) - _residuals(motion, theta + change)

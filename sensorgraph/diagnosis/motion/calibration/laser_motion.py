@@ -31,9 +31,9 @@ STEP_TURN = 0.25
 WINDOW = 10
 """Number of steps whose residuals are summed. Stamp errors cancel from step to step; the sum depends on
 the wheels. Windows of 1 bias turn scales by 1 to 2 %; windows of 5 to 20 agree."""
-LEAST_WINDOWS = 8
-"""Number of windows above which their scatter gives the standard errors: two in each of the four blocks that these
-need. The noise of shorter drives has a prior."""
+BLOCKS = 8
+"""Number of parts of a run that count as independent in the standard errors: slip and floors last for minutes. Steps of
+runs with fewer windows are not summed."""
 LONGEST_STEP = 3.0
 """Maximum length of a step, as a multiple of these; longer ones (scans without a pose, a jump of the
 odometry) are omitted."""
@@ -116,7 +116,7 @@ def laser_motion(
             found = _by_scans_alone(run, keys, poses, bar)
         poses = found.poses
         steps = compose(invert(poses[:-1]), poses[1:])
-        if len(steps) < WINDOW * LEAST_WINDOWS:
+        if len(steps) < WINDOW * BLOCKS:
             scatter = step_scatter(found, steps, mount)
         there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
         steps = compose(compose(back, steps), there)
