@@ -14,7 +14,6 @@ from sensorgraph.diagnosis.scan.likelihood import (
     LATTICE_SLACK,
     MIN_EDGE_STEP,
     MIN_SHORT_RANGE,
-    OFF_LATTICE,
     SQRT_TAU,
     ExpectedReadings,
     Responsibilities,
@@ -53,7 +52,7 @@ def plain_e_step(
     if expected.lattice > 0:
         steps = np.where(returned, z, 0.0) / expected.lattice
         off = np.abs(steps - np.round(steps)) * expected.lattice > LATTICE_SLACK * cell + 1e-9
-        own = np.where(off & both, OFF_LATTICE, own)
+        own = np.where(off & both, 0.0, own)
     p_core = own * (1 - noise.tail) * core * both
     p_tail = own * noise.tail * tail * both
     p = p_core + p_tail

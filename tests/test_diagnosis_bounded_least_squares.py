@@ -99,7 +99,7 @@ def test_a_bound_that_another_makes_superfluous_is_released() -> None:
 
 
 def test_tolerances_of_the_scan_channel_release_it_too() -> None:
-    g, p = boxed(H2, C2, np.full(2, 1e8), np.ones(2), np.zeros(2, dtype=np.bool_))
+    g, p = np.split(boxed(H2, C2, np.full(2, 1e8), np.ones(2), np.zeros(2, dtype=np.bool_)).x, [2])
     np.testing.assert_allclose(g, OPTIMUM2, rtol=1e-9)
     assert len(p) == 0
 

@@ -225,7 +225,7 @@ def test_readings_on_walls_whose_corners_stay_scatter_as_the_map_errs() -> None:
     fitted = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=2)
     rest = len(Nuisance) + 2 * 2
     assert (fitted.state.g[rest : rest + 2] == 0).all() and fitted.state.g[rest - 1] != 0
-    assert {h.amendment.place for h in hypotheses(data, fitted) if h.amendment.place} == {"w/edge_0"}
+    assert {h.amendment.place for h in hypotheses(data, fitted)[0] if h.amendment.place} == {"w/edge_0"}
 
     rng, lasers = np.random.default_rng(2), laser_poses(data.poses[:3], data.sensor.mount)
     n_draws, tau = 400, data.tolerances.map

@@ -50,7 +50,6 @@ def test_scans_that_fit_the_arena_show_a_straight_reference(
         explained=Explained(null=null, final=null, gains={}),
         goodness_of_fit=cast(Any, None),
         second_gap=None,
-        shared=(),
     )
     for kind in ("reference place", "reference jumps"):
         how = Deviation(

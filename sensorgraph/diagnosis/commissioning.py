@@ -15,6 +15,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence, Set
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from sensorgraph.diagnosis.raster_map import raster_map_of, without_unknown_spac
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
-from sensorgraph.diagnosis.scan.model_selection import is_rough, searched
+from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -48,6 +49,9 @@ from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
 
 logger = logging.getLogger(__name__)
+
+LEVELS = ("core", "tail", "loss", "stray")
+"""Levels of the noise of a reading."""
 
 
 def commission_all(
@@ -168,13 +172,8 @@ def merged(several: Sequence[SiteBaseline]) -> SiteBaseline:
         pose_yaw=float(np.median([t.pose_yaw for t in tolerances])),
     )
     bounds = [b.noise_bounds for b in several]
-    noise = replace(
-        bounds[0],
-        core=_hull([b.core for b in bounds]),
-        tail=_hull([b.tail for b in bounds]),
-        loss=_hull([b.loss for b in bounds]),
-        stray=_hull([b.stray for b in bounds]),
-    )
+    levels: dict[str, Any] = {k: _hull([getattr(b, k) for b in bounds]) for k in LEVELS}
+    noise = replace(bounds[0], **levels)
     return SiteBaseline(
         robot=replace(first.robot, tolerances=merged_tolerances),
         known=first.known,
@@ -252,7 +251,7 @@ def with_site_effect(data: ScanData, current: Fitted, start: Amendment) -> Fitte
     """Add an effect to the fit of a known-good run."""
     noise = SCAN.site.wide_noise
     got = fit(data, (*current.model, start), current.state, noise, outer=3, inner=4)
-    if is_rough(got.model[-1]):
+    if got.model[-1].search_steps:
         got = searched(data, got, noise, rounds=6, first=1.0, turns=2)
     return got
 
@@ -271,11 +270,10 @@ def noise_bounds(fits: Sequence[Fitted]) -> NoiseBounds:
     def span(name: str) -> tuple[float, float]:
         low, _ = getattr(SCAN.site.wide_noise, name)
         most = max(float(getattr(f.state.noise, name)) for f in fits)
-        return low, most * SCAN.site.noise_rise
+        return low, most * SCAN.noise.core[1]
 
-    return NoiseBounds(
-        core=span("core"), tail=span("tail"), loss=span("loss"), stray=span("stray"), max_scale=1.0
-    )
+    levels: dict[str, Any] = {name: span(name) for name in LEVELS}
+    return NoiseBounds(**levels, max_scale=1.0)
 
 
 def clutter_gains(
@@ -292,7 +290,7 @@ def clutter_gains(
     names = {amendment.name for amendment in proposed}
     for amendment in (*proposed, *unproposed(data, names)):
         got = fit(data, (amendment,), null.state, bounds, outer=3, inner=3)
-        if is_rough(got.model[-1]):
+        if got.model[-1].search_steps:
             got = searched(data, got, bounds, rounds=3, first=1.0, turns=1)
         (effect,) = got.model
         gained = spread_evidence(data, got, null) if must_be_spread(effect) else got.j - null.j

@@ -126,7 +126,7 @@ def diagnose(
         explained=scans.explained,
         goodness_of_fit=scans.goodness_of_fit,
         second_gap=scans.second_gap,
-        shared=(*scans.shared, *shared_with(odometry, simulated), *shared_with(drive, simulated)),
+        shared=tuple(a for one in (scans.result, odometry, drive) for a in shared_with(one, simulated)),
         next_run=_planned(scans, laid, seed, clock) if plan_next else None,
         seconds=clock.seconds,
     )

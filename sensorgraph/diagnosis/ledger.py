@@ -20,7 +20,7 @@ from sensorgraph.diagnosis.engine.why import check_known
 from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.selection import FAMILIES_OF
 from sensorgraph.diagnosis.report.quantities import quantity, symbol, title_of
-from sensorgraph.diagnosis.result import ChannelResult, Rival
+from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 
@@ -85,9 +85,15 @@ def _accepted(result: ChannelResult) -> Iterator[Entry]:
             is_open = any(a is one for one in result.undecided)
             lead = abs((a.evidence or 0.0) - rival.evidence_nats)
             facts = replace(facts, lead=lead, required_lead=rival.required_nats if is_open else 0.0)
+            entry = replace(
+                entry,
+                rival=Competitor(
+                    title=title_of(rival.name), evidence=float(rival.evidence_nats), separates=rival.separates
+                ),
+            )
         if judge(facts)[1] is DecidedBy.IMMATERIAL and a.effect.sizes:
             entry = replace(entry, needs=f"a size of at least {least_size(a.effect)}")
-        yield replace(entry, facts=facts, rival=entry.rival if rival is None else competitor(rival))
+        yield replace(entry, facts=facts)
 
 
 def _key(entry: Entry) -> tuple[str, str, float | None]:
@@ -215,10 +221,3 @@ def least_size(effect: Effect) -> str:
 def needs_of(effect: Effect) -> str:
     """Return what a run must show to decide about an effect."""
     return f"residuals that vary with {effect.varies}"
-
-
-def competitor(rival: Rival) -> Competitor:
-    """Return the rival of an effect as a competitor in the ledger."""
-    return Competitor(
-        title=title_of(rival.name), evidence=float(rival.evidence_nats), separates=rival.separates
-    )

@@ -45,8 +45,6 @@ CELL = 0.2
 """[m] cell size of the raster in which changes are grouped; no new object is detected within a cell from mapped walls."""
 MIN_OFF = 0.3
 """[m] minimum difference of a reading that shows a change of the building."""
-MIN_SHARE = 0.001
-"""Minimum share of the readings that a change must explain."""
 MAX_CHANGED = 1 / 3
 """Share of the readings, above which the cause is not a change of the building."""
 MAX_SMALL = 0.6
@@ -312,7 +310,7 @@ class _Sight:
 def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
     """Cluster the points of one kind; return the clusters that are large and certain enough, with their rays."""
     some, r = (seen.is_new, seen.z) if kind == "new" else (seen.is_open, seen.expected)
-    n_readings = some.size
+    n_readings, min_share = some.size, SCAN.goodness_of_fit.min_share
     scan, ray = np.nonzero(some)
     points = _ends(seen.lasers, seen.data.sensor.bearings, scan, ray, r[scan, ray])
     if kind == "new":  # free-standing objects; near a mapped wall, the wall is the cause
@@ -324,14 +322,14 @@ def _grouped(seen: _Sight, kind: str) -> list[tuple[MapChange, Bools]]:
     cell = ((points - low) / CELL).astype(np.intp)
     count = np.zeros(cell.max(axis=0) + 1, dtype=np.intp)
     np.add.at(count, (cell[:, 0], cell[:, 1]), 1)
-    least = max(3, int(0.05 * MIN_SHARE * n_readings))
+    least = max(3, int(0.05 * min_share * n_readings))
     labels, n = ndimage.label(count >= least, structure=np.ones((3, 3)))
     label = labels[cell[:, 0], cell[:, 1]]
     out = []
     for k in range(1, n + 1):
         rays = label == k
         share = float(rays.sum()) / n_readings
-        if share < MIN_SHARE or len(np.unique(scan[rays])) < SCAN.goodness_of_fit.min_blocks:
+        if share < min_share or len(np.unique(scan[rays])) < SCAN.goodness_of_fit.min_blocks:
             continue
         fullest = np.unravel_index(np.where(labels == k, count, 0).argmax(), count.shape)
         if seen.share(kind, low + CELL * (np.array(fullest) + 0.5)) < MIN_SHOWN[kind]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,17 +14,16 @@ from sensorgraph.diagnosis.motion.wheel_structure import BENT_REFERENCE
 from sensorgraph.diagnosis.result import ChannelResult, Gap
 from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
-from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
 from sensorgraph.diagnosis.scan.model_selection import Explained, explain
-from sensorgraph.diagnosis.scan.naming import ScanNames, located, name_scan_effects
+from sensorgraph.diagnosis.scan.naming import ScanNames, name_scan_effects
 from sensorgraph.diagnosis.scan.observability import not_observable
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import doubt_of_scatter, freed_scatter
-from sensorgraph.diagnosis.simulation import counterpart, is_same_size
+from sensorgraph.diagnosis.simulation import shared_with
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Progress, ProgressBars, no_progress
@@ -49,8 +49,6 @@ class ScanDiagnosis:
     explained: Explained
     goodness_of_fit: GoodnessOfFit
     second_gap: Gap | None
-    shared: tuple[Amendment, ...]
-    """Effects that a simulation shows with the same size, with its parameters; they become part of the simulator."""
 
 
 def diagnose_scans(
@@ -77,18 +75,14 @@ def diagnose_scans(
         if free is not None:
             noise_bounds = free
             explained = explain(train, free, progress=clock.progress)
-        shared = shared_effects(train, explained, simulated)
-        if shared:
-            known = (*train.known, *shared)
-            train, unseen = (replace(one, known=known, memo={}) for one in (train, unseen))
-            second = None if second is None else replace(second, known=known, memo={})
-            explained = given(train, explained, shared, noise_bounds)
     with clock.stage("criticise") as tick:
         goodness, names = judge(train, explained, baseline, rng, tick=tick)
     null, final = explained.null, explained.final
     with clock.stage("prove"):
-        gap = held_out_gap(unseen, null, final, names.named, rng=rng)
-        second_gap = None if second is None else held_out_gap(second, null, final, names.named, rng=rng)
+        gap_of = partial(held_out_gap, null=null, final=final, named=names.named, rng=rng)
+        shared = shared_with(names.result, simulated)
+        gap = gap_of(unseen, shared=shared)
+        second_gap = None if second is None else gap_of(second, shared=shared)
     with clock.stage("observable"):
         unseen_effects = {**names.result.not_observable, **not_observable(train, final)}
         considered = (
@@ -102,7 +96,6 @@ def diagnose_scans(
         explained=explained,
         goodness_of_fit=goodness,
         second_gap=second_gap,
-        shared=shared,
     )
 
 
@@ -129,43 +122,6 @@ def judge(
     return found, names
 
 
-def shared_effects(
-    data: ScanData, explained: Explained, simulated: Sequence[Amendment]
-) -> tuple[Amendment, ...]:
-    """Return the effects of a simulation that an accepted model contains with the same size."""
-    pairs = [(a, counterpart(located(a, data), simulated)) for a in explained.final.model]
-    return tuple(b for a, b in pairs if b is not None and is_same_size(a, b))
-
-
-def given(
-    data: ScanData, explained: Explained, known: Sequence[Amendment], noise_bounds: NoiseBounds
-) -> Explained:
-    """Return a model without the effects that `data` now contains, refitted.
-
-    Parameters
-    ----------
-    known : These effects.
-    """
-    model = explained.final.model
-    kept = [k for k, a in enumerate(model) if counterpart(located(a, data), known) is None]
-    null = fit(data, (), start_state(data, noise_bounds), noise_bounds, outer=1, inner=7)
-    if kept:
-        chosen = tuple(model[k] for k in kept)
-        final = fit(data, chosen, explained.final.state, noise_bounds, outer=2, inner=4)
-        errors = [model[k].stderr for k in kept]
-        fitted = tuple(replace(a, stderr=e) for a, e in zip(final.model, errors, strict=True))
-        final = replace(final, model=fitted)
-    else:
-        final = null
-    return replace(
-        explained,
-        null=null,
-        final=final,
-        gains={new: explained.gains[k] for new, k in enumerate(kept)},
-        rivals={new: explained.rivals[k] for new, k in enumerate(kept) if k in explained.rivals},
-    )
-
-
 def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> bool:
     """Tell whether the scans contradict a distorted reference that the odometry channel reports.
 
@@ -180,7 +136,9 @@ def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> b
     size = unknown.size
     claimed = (size.get("reference_m", 0.0) / told.pose_xy, size.get("reference_rad", 0.0) / told.pose_yaw)
     is_sure = scans.result.unknown is None and state.stretch <= SCAN.nuisance.stretched_scale
-    return is_sure and max(claimed) > SCAN.goodness_of_fit.bent_reference * state.pose_scale
+    return (
+        is_sure and max(claimed) > SCAN.goodness_of_fit.max_tolerance_scale_beside_effects * state.pose_scale
+    )
 
 
 class StageClock:

@@ -18,6 +18,7 @@ from sensorgraph.diagnosis.engine.ledger import Objection
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.robust import robust_sigma
@@ -26,8 +27,6 @@ MAX_STDERRS = 3.0
 """Minimum difference between two sizes of an effect, in standard errors, to be called different."""
 MAX_SHARE = 0.1
 """Minimum relative difference of a parameter without materiality, to be called different."""
-MAX_DISTANCE = 0.3
-"""[m] maximum distance between two spots that count as the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +84,7 @@ def counterpart(a: Amendment, others: Sequence[Amendment]) -> Amendment | None:
 
 def _is_same_place(a: Amendment, b: Amendment) -> bool:
     if a.effect.place == "spot":
-        return bool(
-            np.hypot(a["x"] - b["x"], a["y"] - b["y"]) <= max(MAX_DISTANCE, a.parameters.get("r", 0.0))
-        )
+        return bool(np.hypot(a["x"] - b["x"], a["y"] - b["y"]) <= a["r"] + b["r"])
     if a.effect.place == "sector":
         return max(a["theta1"], b["theta1"]) <= min(a["theta2"], b["theta2"])
     return a.place == b.place
@@ -129,7 +126,7 @@ def is_same_unknown(a: Unknown | None, b: Unknown | None) -> bool:
     if (one.channel, one.family, one.partition) != (other.channel, other.family, other.partition):
         return False
     if one.xy is not None and other.xy is not None:
-        near = bool(np.hypot(one.xy[0] - other.xy[0], one.xy[1] - other.xy[1]) <= 2 * MAX_DISTANCE)
+        near = bool(np.hypot(one.xy[0] - other.xy[0], one.xy[1] - other.xy[1]) <= SCAN.goodness_of_fit.cell)
     else:
         near = one.label == other.label
     return near and one.size * other.size >= 0 and 0.5 <= abs(one.size) / max(abs(other.size), 1e-12) <= 2.0

@@ -136,7 +136,7 @@ class SiteBaseline:
         own = max(w.misfit / w.n_readings for w in windows) * data.ranges.size
         told = fit.told
         if told is not None:
-            beyond = told.misfit - SCAN.site.misfit_factor * own
+            beyond = told.misfit - SCAN.site.clutter_factor_of_one * own
             if beyond > 0:
                 return replace(fit, told=replace(told, misfit=beyond))
         return replace(fit, told=None, failed=frozenset())

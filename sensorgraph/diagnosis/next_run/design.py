@@ -48,15 +48,13 @@ from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
 
 MAX_DESCRIBED = 3
-"""Maximum number of motions that the explanation of a run describes."""
+"""Maximum number of motions that the explanation of a run describes, and of questions about effects that a run could not show."""
 MAX_OVERTIME = 1.05
 """Maximum duration of a drive, as a multiple of the requested one."""
 N_RANDOM = 9
 """Number of random drives for comparison."""
-SAMPLE_INTERVAL = 1.0
-"""[s] maximum interval between the sample moments of a whole drive."""
-MIN_SAMPLES = 40
-"""Minimum number of sample moments of a whole drive."""
+N_DRIVE_SAMPLES = 100
+"""Number of sample moments of a whole drive."""
 N_SAMPLES = 6
 """Number of sample moments of a motion; twice as many for a spin."""
 
@@ -227,8 +225,7 @@ def motion_samples(motion: CandidateMotion, robot: Robot, duration: float) -> Mo
 
 def _drive_samples(curve: Curve) -> MotionSamples:
     """Return sample moments of a whole drive, evenly spaced in time."""
-    n = max(int(curve.duration / SAMPLE_INTERVAL), MIN_SAMPLES)
-    stamps = (np.arange(n) + 0.5) / n * curve.duration
+    stamps = (np.arange(N_DRIVE_SAMPLES) + 0.5) / N_DRIVE_SAMPLES * curve.duration
     poses, twists, _ = curve.sample(stamps)
     return MotionSamples(poses=poses, twists=twists, times=stamps, duration=curve.duration)
 

@@ -30,8 +30,6 @@ from sensorgraph.world.robot import Robot
 Model = tuple[Amendment, ...]
 MAX_NATS_PER_RAY = 5.0
 """[nats] maximum evidence of a single ray."""
-LINEAR_SIGMAS = 4.0
-"""Difference in standard deviations, up to which a ray counts by its linearised residual on any wall."""
 MAX_RAYS = 46
 """Maximum number of rays of a scan that are cast; each represents an equal number of rays."""
 DECIDED_NATS = 50.0
@@ -116,9 +114,8 @@ class EvidenceForecast:
             )
             scans = self.rate * motion.duration / len(rows)  # that each sample stands for
             matrix, right = scans * system.matrix, scans * system.right
-            x = np.concatenate(
-                boxed(matrix, right, self.tau, SCAN.nuisance.max_tolerances * self.tau, self.locked)
-            )
+            limit = SCAN.nuisance.max_tolerances * self.tau
+            x = boxed(matrix, right, self.tau, limit, self.locked).x
             left = scans * (self.constant[rows].sum() + 0.5 * squares) - right @ x + 0.5 * x @ matrix @ x
             out.append(max(float(left + 0.5 * np.sum((x[: len(self.tau)] / self.tau) ** 2)), 0.0))
         return np.array(out)
@@ -181,7 +178,7 @@ def _weights(
     p, q = _return_probability(truth, data), _return_probability(expected, data)
     counts = expected.p_alternative <= SCAN.likelihood.min_edge_chance
     counts &= truth.p_alternative <= SCAN.likelihood.min_edge_chance
-    near = same_wall | (np.abs(off) <= LINEAR_SIGMAS * sigma)
+    near = same_wall | (np.abs(off) <= SCAN.goodness_of_fit.clip * sigma)
     small: Bools = solver.jacobian.valid & near & data.returned
     weight = np.where(small & counts, p / sigma**2, 0.0)
     of_variance = 0.5 * (variance_ratio - 1 - np.log(variance_ratio))

@@ -14,7 +14,7 @@ import numpy as np
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
-from sensorgraph.diagnosis.next_run.design import motion_samples
+from sensorgraph.diagnosis.next_run.design import MAX_DESCRIBED, motion_samples
 from sensorgraph.diagnosis.next_run.drives import DrivableSpace, MotionKind, candidate_motions
 from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS, OpenQuestion, planned_scans
 from sensorgraph.diagnosis.result import ChannelResult
@@ -26,8 +26,6 @@ from sensorgraph.world.robot import Robot
 
 LONGER_THAN_ANY_WALL = 1e3
 """[m]"""
-MAX_QUESTIONS = 3
-"""Maximum number of questions about effects that a run could not show."""
 
 
 def open_questions(
@@ -52,7 +50,6 @@ def open_questions(
     rivals : Second-best explanation of each effect, in the order of `result.rivals`.
     can_show : Whether a run in the room could show an effect; there are no questions about others.
     """
-    most = MAX_QUESTIONS
     accepted = tuple(model)
     close = _undecided(result, accepted, rivals)
     if close:
@@ -64,7 +61,7 @@ def open_questions(
         if one is not None and not one.place and can_show(one)
     ]
     if everywhere:
-        return everywhere[:most]
+        return everywhere[:MAX_DESCRIBED]
     if accepted:
         worst = max(accepted, key=_relative_stderr)
         rest = tuple(a for a in accepted if a is not worst)
@@ -75,7 +72,7 @@ def open_questions(
         return [OpenQuestion(truth=accepted, alternative=rest, text=text, hint=hint)]
     somewhere = [_is_there(one, accepted, why) for _, why, one in hidden if one is not None]
     if somewhere:
-        return somewhere[:most]
+        return somewhere[:MAX_DESCRIBED]
     ranked = [
         (e.diagnostics.question_rank, name) for name, e in EFFECTS.items() if e.diagnostics.question_rank
     ]

@@ -6,6 +6,7 @@ Another picture shows the path of the next run.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ import numpy as np
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report.comparison import ComparedScans, SimulatedScans
-from sensorgraph.diagnosis.result import Unknown
+from sensorgraph.diagnosis.scan.consequence import LEAST_CHANGE
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.show.figures.style import (
     ALARM,
@@ -31,10 +33,6 @@ from sensorgraph.types import Bools, Floats, Ints
 
 MAX_POINTS, MAX_LOST_POINTS = 6000, 1500
 """Maximum numbers of end points and of missing returns in the picture."""
-LOST_SHARE = 0.003
-"""Share of missing returns above which they are drawn; a careful setup loses one return in a thousand."""
-MIN_SHIFT = 1e-3
-"""[m] minimum shift along its normal of a wall that is drawn as moved."""
 MAX_ROUTE_POINTS, MAX_STROKES = 2000, 150
 """Numbers of path points and of heading strokes in the picture."""
 
@@ -74,7 +72,7 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
         axes.add_collection(
             LineCollection(list(moved), colors=TEAL, linewidths=1.4, linestyles=(0, (4, 2)), zorder=6)
         )
-        _marks(axes, compared, finding.effects, finding.unknown)
+        _draw_marks(axes, compared, marks(finding, compared.arena))
     if len(charts) == 2 and not stacked:
         charts[1].set_ylabel("")
     colour_bar(
@@ -96,7 +94,7 @@ def arena_picture(finding: Finding, compared: ComparedScans, path: Path) -> None
 
 def _loses_rays(compared: ComparedScans) -> bool:
     """Return whether more returns are missing than with a careful setup."""
-    return bool(compared.before.missing.mean() > LOST_SHARE)
+    return bool(compared.before.missing.mean() > SCAN.noise.loss[1])
 
 
 def _displaced(walls: Floats, other: Floats) -> Floats:
@@ -106,7 +104,7 @@ def _displaced(walls: Floats, other: Floats) -> Floats:
     way = walls[:, 1] - walls[:, 0]
     normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
     off = np.abs(((other - walls) * normal[:, None]).sum(axis=2)).max(axis=1)
-    return np.asarray(other[off > MIN_SHIFT])
+    return np.asarray(other[off > LEAST_CHANGE])
 
 
 def _diverging() -> Any:
@@ -156,44 +154,20 @@ def _sampled(rng: np.random.Generator, some: Bools, most: int) -> Ints:
     return np.sort(rng.choice(flat, most, replace=False)) if len(flat) > most else flat
 
 
-def _marks(axes: Any, compared: ComparedScans, effects: Sequence[Amendment], unknown: Unknown | None) -> None:
-    """Mark the places of effects and of unexplained differences."""
-    for a in effects:
-        xy = point_of(a)
-        if a.place:
-            _mark_walls(axes, compared, a)
-        elif xy is not None:
-            _ring(axes, compared, xy, a.effect.title)
-    if unknown is not None and unknown.deviation is not None and unknown.deviation.xy is not None:
-        deviation = unknown.deviation
-        if deviation.partition.startswith("wall"):
-            name = deviation.label.split(",")[0]
-            _line(
-                axes,
-                [w for n, w in zip(compared.arena.names, compared.arena.walls, strict=True) if n == name],
-            )
-        _ring(axes, compared, deviation.xy or (0.0, 0.0), "unknown")
-
-
-def _mark_walls(axes: Any, compared: ComparedScans, a: Amendment) -> None:
-    chosen = wall_sections(compared.arena, a)
-    if chosen:
-        _line(axes, chosen)
-        middle = np.mean([wall.mean(axis=0) for wall in chosen], axis=0)
-        _label(axes, compared, (float(middle[0]), float(middle[1])), a.effect.title)
-
-
-def _line(axes: Any, walls: Sequence[Floats]) -> None:
+def _draw_marks(axes: Any, compared: ComparedScans, shown: Sequence[PlaceMark]) -> None:
+    """PlaceMark the places of effects and of unexplained differences: walls by a band, others by a ring."""
     from matplotlib.collections import LineCollection
 
-    axes.add_collection(
-        LineCollection(list(walls), colors=ALARM, linewidths=5.0, alpha=0.35, zorder=3.5, capstyle="round")
-    )
-
-
-def _ring(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: str) -> None:
-    axes.plot(*xy, "o", ms=20, mfc="none", mec=ALARM, mew=1.6, zorder=7)
-    _label(axes, compared, xy, text)
+    for mark in shown:
+        if mark.walls:
+            axes.add_collection(
+                LineCollection(
+                    mark.walls, colors=ALARM, linewidths=5.0, alpha=0.35, zorder=3.5, capstyle="round"
+                )
+            )
+        else:
+            axes.plot(*mark.xy, "o", ms=20, mfc="none", mec=ALARM, mew=1.6, zorder=7)
+        _label(axes, compared, mark.xy, mark.title)
 
 
 def _label(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: str) -> None:
@@ -207,12 +181,32 @@ def _label(axes: Any, compared: ComparedScans, xy: tuple[float, float], text: st
     )  # fmt: skip
 
 
-def marks(finding: Finding) -> list[tuple[str, tuple[float, float]]]:
-    """Return label and point (x, y) [m, map] of every effect, and of an unexplained difference, that has a place."""
-    out = [(a.effect.title, xy) for a in finding.effects if (xy := point_of(a)) is not None]
-    unknown = finding.unknown
-    if unknown is not None and unknown.deviation is not None and unknown.deviation.xy is not None:
-        out.append(("unknown", unknown.deviation.xy))
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlaceMark:
+    """The place of an effect, or of an unexplained difference."""
+
+    title: str
+    xy: tuple[float, float]
+    """[m, map]"""
+    walls: list[Floats]
+    """(2, 2) [m] each: sections of walls; empty for other places."""
+
+
+def marks(finding: Finding, arena: Arena) -> list[PlaceMark]:
+    """Return the marks of all effects, and of an unexplained difference, that have a place."""
+    found = [(a.effect.title, point_of(a), wall_sections(arena, a)) for a in finding.effects]
+    deviation = None if finding.unknown is None else finding.unknown.deviation
+    if deviation is not None:
+        name = deviation.label.split(",")[0] if deviation.partition.startswith("wall") else ""
+        walls = [w for n, w in zip(arena.names, arena.walls, strict=True) if n == name]
+        found.append(("unknown", deviation.xy, walls))
+    out = []
+    for title, xy, walls in found:
+        if walls:
+            x, y = np.mean(walls, axis=(0, 1)).tolist()
+            out.append(PlaceMark(title=title, xy=(x, y), walls=walls))
+        elif xy is not None:
+            out.append(PlaceMark(title=title, xy=xy, walls=[]))
     return out
 
 

@@ -6,7 +6,7 @@ fitted, so that the pictures show what a user of the simulator sees. `held_out_g
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +15,7 @@ import numpy as np
 from logs.run import RangeSensor
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.scan.deviations import covariates
 from sensorgraph.diagnosis.scan.fit import Fitted, cast
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -22,6 +23,9 @@ from sensorgraph.types import Bools, Floats, Ints
 
 CLIP_SIGMAS = 10.0
 """Standard deviations at which residuals are clipped before averaging."""
+TITLES = {"omega": "turn rate"}
+UNDRAWN = ("direction in map", "acceleration")
+"""Quantities without a panel in the picture of the residuals."""
 MAGNIFICATIONS = (1, 2, 3, 5, 10, 20, 30, 50)
 """Magnifications of residuals in pictures."""
 
@@ -100,12 +104,10 @@ class ComparedScans:
     """(n_scans, 3)"""
     rays: Floats
     """(n_scans, n_rays, 4) [m, m, 1, 1] start and direction of each ray; in a cone, towards the nearest surface."""
-    omega: Floats
-    speed: Floats
-    """(n_scans,)"""
     measured: Floats
     """(n_scans, n_rays) [m]"""
-    incidence: Floats
+    covariates: Mapping[str, tuple[Floats, Floats]]
+    """Label -> values (n_scans, n_rays) that residuals may depend on, and edges of bins."""
     before: SimulatedScans
     after: SimulatedScans
     is_amended: bool
@@ -165,30 +167,6 @@ class ComparedScans:
         rays = self.rays.reshape(-1, 4)[flat]
         return np.asarray(rays[:, :2] + ranges[:, None] * rays[:, 2:])
 
-    def covariates(self) -> dict[str, tuple[Floats, Floats]]:
-        """Return the covariates of residuals: label -> (values (n_scans, n_rays), bin edges)."""
-        shape = self.measured.shape
-        bearings = np.degrees(self.sensor.bearings)
-        aimed = np.where(np.isfinite(self.before.aimed), self.before.aimed, np.nan)
-        far = float(np.nanquantile(aimed, 0.995)) if np.isfinite(aimed).any() else 1.0
-        fast = max(float(np.quantile(np.abs(self.omega), 0.99)), 0.05)
-        speed = np.quantile(self.speed, [0.005, 0.995])
-
-        def wide(values: Floats) -> Floats:
-            return np.broadcast_to(values, shape)
-
-        return {
-            "bearing [°]": (wide(bearings), np.linspace(bearings.min() - 1e-6, bearings.max() + 1e-6, 25)),
-            "range [m]": (aimed, np.linspace(0.0, far, 15)),
-            "incidence [°]": (np.degrees(self.incidence), np.linspace(0, 90, 13)),
-            "time [s]": (wide(self.stamps[:, None]), np.linspace(0, self.stamps[-1] + 1e-6, 19)),
-            "turn rate [°/s]": (
-                wide(np.degrees(self.omega)[:, None]),
-                np.degrees(np.linspace(-fast, fast, 12)),
-            ),
-            "speed [m/s]": (wide(self.speed[:, None]), np.linspace(speed[0] - 1e-6, speed[1] + 1e-3, 11)),
-        }
-
     def profile(self, values: Floats, index: Ints, count: int) -> tuple[Floats, Floats]:
         """Return mean and standard error (clustered by blocks of time) of the values in each bin."""
         blocks = (self.stamps / SCAN.block).astype(np.intp)
@@ -214,18 +192,24 @@ def compare(finding: Finding) -> ComparedScans | None:
     starts = (np.broadcast_to(start, beams.ux.shape) for start in (beams.ox, beams.oy))
     # a mount that was calibrated from driving alone is already in the poses
     named = finding.channels["scan"].effects if "scan" in finding.channels else ()
-    before = SimulatedScans.of(null, ())
+    shared = [a for a in finding.shared if a.effect.channel == "scan"]
+    before = SimulatedScans.of(null, shared)
     return ComparedScans(
         arena=data.arena,
         sensor=data.sensor,
         stamps=data.stamps - data.begin,
         poses=data.poses,
         rays=np.stack([*starts, beams.ux, beams.uy], axis=-1),
-        omega=data.twists[:, 2],
-        speed=data.speed,
         measured=data.ranges,
-        incidence=beams.incidence,
+        covariates={
+            f"{TITLES.get(one.name, one.name)} [{'°' if one.unit == 'degrees' else one.unit}]": (
+                one.scale * one.values,
+                one.scale * one.edges,
+            )
+            for one in covariates(data, beams)
+            if one.name not in UNDRAWN
+        },
         before=before,
-        after=SimulatedScans.of(final, named) if named else before,
+        after=SimulatedScans.of(final, (*shared, *named)) if named else before,
         is_amended=bool(named),
     )

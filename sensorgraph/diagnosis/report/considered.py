@@ -19,12 +19,6 @@ from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.world.robot import Tolerances
 
-ORDER = {
-    Verdict.NAMED: 0,
-    Verdict.UNDECIDED: 1,
-    Verdict.UNKNOWN: 2,
-    Verdict.SILENT: 3,
-}
 OPEN = (DecidedBy.OBJECTION, DecidedBy.IMMATERIAL, DecidedBy.BEATEN)
 """Deciding facts of silent hypotheses that are listed in any case."""
 N_WEAK = 6
@@ -73,7 +67,7 @@ def unobservable_line(finding: Finding) -> str:
 def _rank(entry: Entry) -> tuple[int, bool, float]:
     evidence = entry.facts.evidence
     return (
-        ORDER[entry.verdict],
+        list(Verdict).index(entry.verdict),
         entry.decided_by not in OPEN,
         -(float("-inf") if evidence is None else evidence),
     )

@@ -21,7 +21,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.comparison import ABSORBED
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.report import data
-from sensorgraph.diagnosis.report.arena_figure import arena_picture, marks, next_run_picture, wall_sections
+from sensorgraph.diagnosis.report.arena_figure import arena_picture, marks, next_run_picture
 from sensorgraph.diagnosis.report.comparison import ComparedScans, compare
 from sensorgraph.diagnosis.report.considered import considered_section
 from sensorgraph.diagnosis.report.data import UNITS, calibrations, effect_dict, plain, to_dict
@@ -49,8 +49,8 @@ from sensorgraph.world.robot import Robot
 
 PICTURES = ("arena", "profile", "residuals", "gap", "ranking", "next_run", "calibration")
 NEXT_RUN_FILES = ("trajectory.csv", "arena.geojson", "robot.yaml", "plan.json")
-N_PARTS = 5
-"""report.json, effects.yaml, pictures, report.html, review.rrd."""
+PARTS = ("report.json", "effects.yaml", "pictures", "report.html", "review.rrd")
+"""What is written, in this order."""
 
 
 def save_diagnosis(
@@ -96,7 +96,7 @@ def save_report(
 
     def done(count: int) -> None:
         if progress is not None:
-            progress(count, N_PARTS)
+            progress(count, len(PARTS))
 
     folder.mkdir(parents=True, exist_ok=True)
     kept = {"version": __version__, **(settings or {})}
@@ -122,8 +122,7 @@ def save_report(
             compared,
             files["review.rrd"],
             report=markdown(finding, name),
-            marks=marks(finding),
-            walls=[wall for a in finding.effects for wall in wall_sections(compared.arena, a)],
+            marks=marks(finding, compared.arena),
         )
     done(5)
     return [*files.values(), *pictures.values()]

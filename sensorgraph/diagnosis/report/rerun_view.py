@@ -9,9 +9,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from sensorgraph.diagnosis.report.arena_figure import PlaceMark
 from sensorgraph.diagnosis.report.comparison import CLIP_SIGMAS, ComparedScans, SimulatedScans
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
-from sensorgraph.types import Floats
 
 MAX_SCANS = 400
 MARK, BLUE, TEAL = (255, 90, 120), (110, 160, 255), (70, 220, 190)
@@ -22,16 +22,14 @@ def write(
     path: Path,
     *,
     report: str,
-    marks: Sequence[tuple[str, tuple[float, float]]] = (),
-    walls: Sequence[Floats] = (),
+    marks: Sequence[PlaceMark] = (),
 ) -> None:
     """Write `path` (.rrd).
 
     Parameters
     ----------
     report : markdown shown next to the scans
-    marks : (words, (x, y) [m, map]) of what sits somewhere
-    walls : (2, 2) [m] sections of walls to mark
+    marks : what is marked on the map
     """
     n = len(compared.stamps)
     shown = np.linspace(0, n - 1, min(n, MAX_SCANS)).round().astype(np.intp)
@@ -41,7 +39,7 @@ def write(
         models.append(("amended", compared.after, TEAL))
     with recorded(path, "diagnosis", _layout(compared, ray)) as recording:
         _log_static(recording, compared, models, report)
-        _log_marks(recording, marks, walls)
+        _log_marks(recording, marks)
         _send_scans(recording, compared, models, shown, ray)
 
 
@@ -82,19 +80,13 @@ def _log_static(
         recording.log(f"bearing/{name}", bars, static=True)
 
 
-def _log_marks(
-    recording: rr.RecordingStream,
-    marks: Sequence[tuple[str, tuple[float, float]]],
-    walls: Sequence[Floats],
-) -> None:
-    if len(walls):
-        recording.log("plan/marks/walls", rr.LineStrips2D(list(walls), colors=MARK, radii=-2.5), static=True)
+def _log_marks(recording: rr.RecordingStream, marks: Sequence[PlaceMark]) -> None:
+    walls = [wall for mark in marks for wall in mark.walls]
+    if walls:
+        recording.log("plan/marks/walls", rr.LineStrips2D(walls, colors=MARK, radii=-2.5), static=True)
     if marks:
-        recording.log(
-            "plan/marks/places",
-            rr.Points2D([xy for _, xy in marks], labels=[t for t, _ in marks], colors=MARK, radii=-6.0),
-            static=True,
-        )
+        places = rr.Points2D([m.xy for m in marks], labels=[m.title for m in marks], colors=MARK, radii=-6.0)
+        recording.log("plan/marks/places", places, static=True)
 
 
 def _send_scans(

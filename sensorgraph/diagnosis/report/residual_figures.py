@@ -53,7 +53,7 @@ class Measure(Enum):
 
 def residuals_picture(finding: Finding, compared: ComparedScans, path: Path) -> None:
     """Draw the mean residual and, below it, the scatter or the share of unexpected rays, over each covariate."""
-    covariates = compared.covariates()
+    covariates = compared.covariates
     measures = (Measure.MEAN, _second_measure(finding.channels.get("scan")))
     figure = new_figure(11.0, 3.9, layout=None)
     grid = figure.subplots(2, len(covariates), sharey="row")

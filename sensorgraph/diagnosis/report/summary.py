@@ -222,17 +222,11 @@ def sentence_case(text: str) -> str:
 
 def undecided_rivals(finding: Finding) -> list[tuple[Amendment, Rival]]:
     """Return effects with a rival that explains the data almost as well and is not named itself."""
-    names = {a.name for a in finding.effects}
-    out = []
-    for a in (*finding.undecided, *finding.effects):
-        for result in finding.channels.values():
-            for rival in result.rivals:
-                close = (
-                    a in finding.undecided or (a.evidence or 0.0) - rival.evidence_nats < rival.required_nats
-                )
-                if rival.instead_of == a.name and rival.name not in names and close:
-                    out.append((a, rival))
-    return out
+    named = {a.name for a in finding.effects}
+    rivals = [
+        rival for result in finding.channels.values() for rival in result.rivals if rival.name not in named
+    ]
+    return [(a, rival) for a in finding.undecided for rival in rivals if rival.instead_of == a.name]
 
 
 def map_sentences(finding: Finding) -> list[str]:

@@ -80,7 +80,7 @@ SCATTER_CAUSES = (
 )
 """Causes of scans that differ from each other more than the rays within a scan do."""
 MAX_CAUSES = 3
-LEAST_CHANGE = 1e-4
+LEAST_CHANGE = SCAN.likelihood.min_resolution
 """[m] minimum change of a reading by an effect."""
 
 

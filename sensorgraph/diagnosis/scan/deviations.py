@@ -16,12 +16,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.world.beams import Beams
 
 MIN_SCATTER = {
     "bias": 1.0,
@@ -31,85 +32,51 @@ MIN_SCATTER = {
 }
 """Kind of deviation -> minimum scatter of the score of one ray: that of a standard normal variable, of its square, and of
 events with the largest usual probability."""
-MAX_BINS_PER_KEY = 4
-"""Maximum ratio of bins to keys for counting; above it the keys are sorted, because a large building would fill the memory."""
-SPEED_EDGES = np.array([-2, -0.25, -0.1, -0.02, 0.02, 0.1, 0.2, 0.3, 0.4, 2])  # [m/s]
-TURN_RATE_EDGES = np.array([-3, -0.8, -0.5, -0.25, -0.08, 0.08, 0.25, 0.5, 0.8, 3])  # [rad/s]
-ACCELERATION_EDGES = np.array([-5, -0.3, -0.15, -0.05, 0.05, 0.15, 0.3, 5])  # [m/s²]
-INCIDENCE_EDGES = np.radians(np.arange(0, 91, 7.5))  # [rad]
-N_BEARINGS, N_TIMES = 24, 20
+N_BINS = 24
+"""Number of bins of a partition by one quantity."""
 OF_WALLS = ("wall", "hit place")
 """Partitions whose bins also show the shape of walls."""
-MARGIN = 0.1  # [m] of the raster beyond the arena
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scores:
-    """Deviation of every ray from the model, by kind; arrays (n_scans, n_rays)."""
-
-    values: dict[str, Floats]
-    """Scores with the expected value 0."""
-    counted: dict[str, Bools]
-    """Whether a ray has a score; elsewhere the score is 0."""
+Scores = dict[str, tuple[Floats, Bools]]
+"""Kind of deviation -> deviation of every ray from the model, with the expected value 0, and whether it has one; else 0."""
 
 
 def scores(view: FitResiduals) -> Scores:
     """Score every ray: clipped residual, its square, whether it is an outlier, whether its return is missing."""
     settings, likelihood = SCAN.goodness_of_fit, SCAN.likelihood
     responsibilities, expected = view.fitted.solution.responsibilities, view.fitted.cast.expected
-    is_stray = responsibilities.stray > likelihood.stray_responsibility
+    is_stray = responsibilities.stray > 0.5
     off_edge = expected.p_alternative < likelihood.min_edge_chance
     clear = view.returned & view.aimed & off_edge & view.fitted.cast.jacobian.valid
     clear &= responsibilities.weight > 0  # the mean of readings next to a limit of the sensor is biased
     if view.beams.straight is not None:
         bent = view.returned & view.aimed & ~view.beams.straight
-        clear = clear | (bent & (responsibilities.stray < likelihood.stray_responsibility))
+        clear = clear | (bent & (responsibilities.stray < 0.5))
     u = np.where(clear, responsibilities.residual / view.sigma, 0.0)
-    explained = clear & (responsibilities.stray < likelihood.stray_responsibility)
+    explained = clear & (responsibilities.stray < 0.5)
     if expected.short > 0:
         explained &= responsibilities.core + responsibilities.tail > 0.5
     clipped = np.clip(u, -settings.clip, settings.clip)
-    tail = view.noise.tail
-    lattice_variance = expected.lattice**2 / 12 if expected.lattice > 0 else 0.0
-    expected_square = (
-        (1 - tail) * clipped_variance(1.0, settings.clip)
-        + tail * clipped_variance(likelihood.tail_width, settings.clip)
-        + lattice_variance / np.square(view.sigma)
-    )
-    spread = np.where(explained, clipped**2 - expected_square, 0.0)
+    rounded = expected.lattice**2 / 12 / np.square(view.sigma)
+    spread = np.where(explained, clipped**2 - rounded, 0.0)
     # the part that all bins share is the noise level, not a property of a place, time or bearing
     common = float(spread.sum() / max(explained.sum(), 1))
     spread -= explained * common
     returned = view.returned & view.aimed & off_edge
     p_stray = view.noise.stray + expected.stray + expected.short
     due = view.aimed & off_edge & ~np.isnan(view.z)
-    inside = np.clip(
-        (view.range_max - np.where(view.aimed, view.mu, 0.0)) / (settings.clip * view.sigma),
-        0.0,
-        1.0,
-    )
-    due = due & (inside >= 1.0)
+    due &= view.range_max - np.where(view.aimed, view.mu, np.inf) >= settings.clip * view.sigma
     p_lost = 1 - expected.p_return * (1 - view.noise.loss)
     outline = _outlines(view)
     if outline is not None:
         explained, returned, due = explained & ~outline, returned & ~outline, due & ~outline
-    return Scores(
-        values={
-            "bias": np.where(explained, clipped, 0.0),
-            "spread": np.where(explained, spread, 0.0),
-            "outliers": np.where(returned, is_stray - p_stray, 0.0),
-            "misses": np.where(due, view.lost - p_lost, 0.0),
-        },
-        counted={"bias": explained, "spread": explained, "outliers": returned, "misses": due},
-    )
-
-
-def clipped_variance(sigma: float, limit: float) -> float:
-    """Return the mean square of a normal variable with the standard deviation `sigma`, clipped at ±`limit`."""
-    a = limit / sigma
-    inside = float(erf(a / np.sqrt(2)))
-    density = float(np.exp(-0.5 * a**2) / np.sqrt(2 * np.pi))
-    return sigma**2 * (inside - 2 * a * density) + limit**2 * (1 - inside)
+    return {
+        "bias": (np.where(explained, clipped, 0.0), explained),
+        "spread": (spread, explained),
+        "outliers": (np.where(returned, is_stray - p_stray, 0.0), returned),
+        "misses": (np.where(due, view.lost - p_lost, 0.0), due),
+    }
 
 
 def _outlines(view: FitResiduals) -> Bools | None:
@@ -152,11 +119,14 @@ def _in_partition(view: FitResiduals, part: Partition, score: Scores, blocks: In
     """Return the deviating bins of one partition; `blocks` (n_scans,) is the block index of each scan."""
     settings, sigma = SCAN.goodness_of_fit, view.data.sensor.sigma
     inside = part.index >= 0
-    pairs, pair = numbered((blocks[:, None] * part.count + part.index)[inside])
-    bins = pairs % part.count  # of each pair (block, bin)
+    occurs = np.bincount(part.index[inside], minlength=part.count) > 0
+    number = np.cumsum(occurs) - 1  # most cells of a building are empty
+    key = blocks[:, None] * int(occurs.sum()) + number[part.index]
+    n_pairs = (int(blocks.max(initial=0)) + 1) * int(occurs.sum())
+    pair, bins = key[inside], np.tile(np.flatnonzero(occurs), n_pairs // max(int(occurs.sum()), 1))
 
     def by_block(values: Floats | Bools) -> Floats:
-        return np.asarray(np.bincount(pair, values[inside], len(pairs)), dtype=np.float64)
+        return np.asarray(np.bincount(pair, values[inside], n_pairs), dtype=np.float64)
 
     def by_bin(values: Floats | Bools) -> Floats:
         return np.asarray(np.bincount(bins, values, part.count), dtype=np.float64)
@@ -166,8 +136,7 @@ def _in_partition(view: FitResiduals, part: Partition, score: Scores, blocks: In
         lengthened = view.data.grain / np.maximum(np.cos(view.incidence), SCAN.nuisance.min_cosine)
         grain = by_bin(by_block(np.nan_to_num(lengthened))) / np.maximum(by_bin(by_block(inside)), 1)
     found, counts = [], dict[int, Floats]()
-    for family, value in score.values.items():
-        counted = score.counted[family]
+    for family, (value, counted) in score.items():
         if id(counted) not in counts:
             counts[id(counted)] = by_block(counted)
         n, s = counts[id(counted)], by_block(value)
@@ -198,19 +167,6 @@ def _in_partition(view: FitResiduals, part: Partition, score: Scores, blocks: In
     return found
 
 
-def numbered(keys: Ints) -> tuple[Ints, Ints]:
-    """Return the keys (n,) that occur, ascending, and the position of each key among them.
-
-    Equivalent to `np.unique` with `return_inverse`, but usually without sorting. A building has thousands of bins, each
-    met in a few blocks, so only the pairs that occur are summed.
-    """
-    if not len(keys) or keys.max() > MAX_BINS_PER_KEY * len(keys):
-        found = np.unique(keys, return_inverse=True)
-        return found[0], found[1]
-    occurs = np.bincount(keys) > 0
-    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[keys]
-
-
 def largest_z(found: Sequence[Deviation]) -> dict[str, float]:
     """Return the largest |z| per kind of deviation."""
     out = dict.fromkeys(MIN_SCATTER, 0.0)
@@ -231,10 +187,9 @@ class Dispersion:
 
 def dispersion(view: FitResiduals) -> Dispersion:
     """Return by how much the scans differ from each other in excess of the scatter of their rays."""
-    score = scores(view)
-    value, counted = score.values["spread"], score.counted["spread"]
+    value, counted = scores(view)["spread"]
     n = counted.sum(axis=1)
-    some = n > SCAN.goodness_of_fit.min_readings
+    some = n > SCAN.goodness_of_fit.min_rays / 2
     if some.sum() < SCAN.goodness_of_fit.min_rays:
         return Dispersion()
     mean = value.sum(axis=1)[some] / n[some]
@@ -262,56 +217,77 @@ class Partition:
     """Position of a bin [m, map]; None without a position."""
 
 
-def partitions(view: FitResiduals) -> list[Partition]:
-    """Return all partitions of the rays."""
-    data, beams, arena = view.data, view.beams, view.data.arena
-    shape = view.z.shape
-    hit = np.isfinite(beams.ranges)
-    bearings, range_max = data.sensor.bearings, data.sensor.range_max
-    t = (data.stamps - data.begin)[:, None]
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Covariate:
+    """A quantity that residuals may depend on."""
 
-    def binned(name: str, value: Floats, edges: Floats, unit: str, scale: float = 1.0) -> Partition:
-        return _binned(name, np.broadcast_to(value, shape), edges, unit, scale)
+    name: str
+    values: Floats
+    """(n_scans, n_rays); nan for none."""
+    edges: Floats
+    """(k + 1,) Edges of its bins; the outer bins are open."""
+    unit: str
+    """Of labels."""
+    scale: float
+    """Factor from SI units to this unit."""
 
-    degree = 180 / np.pi
-    bearing_edges = np.linspace(bearings[0] - 1e-9, bearings[-1] + 1e-9, min(N_BEARINGS, len(bearings)) + 1)
-    range_edges = np.concatenate([np.arange(0, 4, 0.4), np.arange(4, range_max + 1, 0.8)])
-    circle = np.linspace(-np.pi, np.pi + 1e-9, N_BEARINGS + 1)
-    reach = np.where(hit, beams.ranges, 0.0)
+
+def covariates(data: ScanData, beams: Beams) -> list[Covariate]:
+    """Return the quantities that residuals may depend on, for the cast of a fit."""
+    hit, shape = np.isfinite(beams.ranges), data.ranges.shape
+    stamps = np.maximum(data.stamps, data.stamps[0] + 1e-3 * np.arange(data.n_scans))
+    degree, bearings = 180 / np.pi, data.sensor.bearings
+
+    def of(name: str, values: Floats, span: tuple[float, float], unit: str, scale: float = 1.0) -> Covariate:
+        edges = np.linspace(*span, min(N_BINS, values.size) + 1)
+        values = np.broadcast_to(values, shape)
+        return Covariate(name=name, values=values, edges=edges, unit=unit, scale=scale)
+
+    turning = data.twists[:, 2:]
     out = [
-        _by_wall(view),
-        binned("bearing", bearings, bearing_edges, "degrees", degree),
-        binned("range", np.where(hit, beams.ranges, np.nan), range_edges, "m"),
-        binned("incidence", np.where(hit, view.incidence, np.nan), INCIDENCE_EDGES, "degrees", degree),
-        binned("time", t, np.linspace(0, data.span + 1e-9, N_TIMES + 1), "s"),
-        binned("omega", data.twists[:, 2:], TURN_RATE_EDGES, "rad/s"),
-        binned("speed", data.speed[:, None], SPEED_EDGES, "m/s"),
-        binned("direction in map", np.arctan2(beams.uy, beams.ux), circle, "degrees", degree),
-        _by_cell("hit place", beams.ox + reach * beams.ux, beams.oy + reach * beams.uy, hit, arena.bounds),
-        _by_cell(
-            "robot place",
-            np.broadcast_to(data.poses[:, :1], shape),
-            np.broadcast_to(data.poses[:, 1:2], shape),
-            np.ones(shape, dtype=np.bool_),
-            arena.bounds,
-        ),
+        of("bearing", bearings, (float(bearings[0]), float(bearings[-1])), "degrees", degree),
+        of("range", np.where(hit, beams.ranges, np.nan), (0.0, data.sensor.range_max), "m"),
+        of("incidence", np.where(hit, beams.incidence, np.nan), (0.0, np.pi / 2), "degrees", degree),
+        of("time", (data.stamps - data.begin)[:, None], (0.0, data.span), "s"),
+        of("omega", turning, _span(turning), "rad/s"),
+        of("speed", data.speed[:, None], _span(data.speed), "m/s"),
+        of("direction in map", np.arctan2(beams.uy, beams.ux), (-np.pi, np.pi), "degrees", degree),
     ]
     if data.n_scans > 4:
-        stamps = np.maximum(data.stamps, data.stamps[0] + 1e-3 * np.arange(data.n_scans))
         acceleration = np.gradient(data.speed, stamps)
-        out.append(binned("acceleration", acceleration[:, None], ACCELERATION_EDGES, "m/s²"))
+        out.append(of("acceleration", acceleration[:, None], _span(acceleration), "m/s²"))
     return out
 
 
-def _binned(name: str, value: Floats, edges: Floats, unit: str, scale: float) -> Partition:
-    """Sort rays by a value (n_scans, n_rays); labels show the value times `scale`, in `unit`."""
-    index = np.searchsorted(edges, value, side="right") - 1
-    ok = (index >= 0) & (index < len(edges) - 1) & np.isfinite(value)
+def partitions(view: FitResiduals) -> list[Partition]:
+    """Return all partitions of the rays."""
+    data, beams, bounds = view.data, view.beams, view.data.arena.bounds
+    hit = np.isfinite(beams.ranges)
+    reach = np.where(hit, beams.ranges, 0.0)
+    x, y = (np.broadcast_to(data.poses[:, k, None], hit.shape) for k in (0, 1))
+    return [
+        _by_wall(view),
+        *(_binned(one) for one in covariates(data, beams)),
+        _by_cell("hit place", beams.ox + reach * beams.ux, beams.oy + reach * beams.uy, hit, bounds),
+        _by_cell("robot place", x, y, np.ones(hit.shape, dtype=np.bool_), bounds),
+    ]
+
+
+def _span(rate: Floats) -> tuple[float, float]:
+    """Return limits of a rate (n_scans,) that are symmetric about 0 and contain nearly all of it, with one digit."""
+    most = float(f"{np.quantile(np.abs(rate), 0.98):.0e}") or 1.0
+    return -most, most
+
+
+def _binned(one: Covariate) -> Partition:
+    """Sort rays by a quantity."""
+    edges, count = one.edges, len(one.edges) - 1
+    index = np.clip(np.searchsorted(edges, one.values, side="right") - 1, 0, count - 1)
     return Partition(
-        name=name,
-        index=np.where(ok, index, -1),
-        count=len(edges) - 1,
-        label=lambda k: f"{edges[k] * scale:.3g} to {edges[k + 1] * scale:.3g} {unit}",
+        name=one.name,
+        index=np.where(np.isfinite(one.values), index, -1),
+        count=count,
+        label=lambda k: f"{edges[k] * one.scale:.3g} to {edges[k + 1] * one.scale:.3g} {one.unit}",
         place=lambda k: None,
     )
 
@@ -333,12 +309,12 @@ def _by_cell(
     """Sort rays by the square cell of a point (n_scans, n_rays) [m, map]."""
     size = SCAN.goodness_of_fit.cell
     x0, y0, x1, y1 = bounds
-    nx, ny = int((x1 - x0 + 2 * MARGIN) / size) + 1, int((y1 - y0 + 2 * MARGIN) / size) + 1
-    i, j = np.floor((x - x0 + MARGIN) / size), np.floor((y - y0 + MARGIN) / size)
+    nx, ny = int((x1 - x0) / size) + 2, int((y1 - y0) / size) + 2
+    i, j = np.round((x - x0) / size), np.round((y - y0) / size)
     inside = ok & (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
 
     def centre(k: int) -> tuple[float, float]:
-        return (x0 - MARGIN + (k // ny + 0.5) * size, y0 - MARGIN + (k % ny + 0.5) * size)
+        return x0 + k // ny * size, y0 + k % ny * size
 
     return Partition(
         name=name,

@@ -37,11 +37,8 @@ from sensorgraph.effects.nuisance import MOUNT, POSE_LIKE, Nuisance
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.beams import Beams
-from sensorgraph.world.cast_memory import Recent
+from sensorgraph.world.cast_memory import MAX_BEAMS, Recent
 from sensorgraph.world.scene import Scene
-
-MAX_EDGES = 12
-"""Number of casts whose edges are kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,7 +91,7 @@ def _edges(data: ScanData, scene: Scene) -> Edges | None:
     """Find the edges of the bare cast; the result is kept as long as geometry and timing are unchanged."""
     parts = (scene.walls, scene.mount, scene.delay, scene.discs, np.array(scene.dip))
     key = b"|".join(part.tobytes() for part in parts)
-    edges: Recent[Edges | None] = data.kept(b"edges", lambda: Recent(MAX_EDGES))
+    edges: Recent[Edges | None] = data.kept(b"edges", lambda: Recent(MAX_BEAMS))
     return edges.get(key, lambda: find_edges(data, bare_cast(scene), scene.walls))
 
 
@@ -112,11 +109,7 @@ def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
     corners = corners_of(data)
     state = State(g=np.zeros(len(Nuisance) + 2 * corners.count), delta=data.pose_start)
     state.pose_scale = noise_bounds.min_pose_scale
-    noise = state.noise
-    noise.core = float(np.clip(noise.core, *noise_bounds.core))
-    noise.tail = float(np.clip(noise.tail, *noise_bounds.tail))
-    noise.loss = float(np.clip(noise.loss, *noise_bounds.loss))
-    noise.stray = float(np.clip(noise.stray, *noise_bounds.stray))
+    state.noise = state.noise.within(noise_bounds)
     return state
 
 
@@ -207,7 +200,7 @@ def fit(
     best: Fitted | None = None
     model = tuple(model)
     noise_bounds, state = strays_taken(model, noise_bounds), for_model(data, state.copy(), model)
-    state.noise.stray = float(np.clip(state.noise.stray, *noise_bounds.stray))
+    state.noise = state.noise.within(noise_bounds)
     corners = corners_of(data)
     held_at_0 = locked(data, model, corners)
     if data.posed is not None:  # the laser keeps its place: the poses absorb the errors of mount and delay
@@ -221,7 +214,7 @@ def fit(
         solution = iterate(solver, state, zero, noise_bounds, rounds=inner)
         solution.state.laid, solution.state.posed = laid.laid, laid.posed
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
-        better = best is None or got.j > best.j + SCAN.fit.min_cast_gain
+        better = best is None or got.j > best.j + SCAN.fit.min_gain
         if best is None or got.j > best.j:
             best = got
         if (solver.n_effects == 0 and not is_laid and laid.posed is None) or not better:
@@ -259,7 +252,7 @@ def log_p_at(
     responsibilities = e_step(data, at.expected, shift, noise)
     if noise_bounds is not None:
         noise_bounds = strays_taken(model, noise_bounds)
-        for _ in range(SCAN.fit.noise_rounds):
+        for _ in range(SCAN.fit.rounds):
             noise = fitted_noise(solver, responsibilities, noise, noise_bounds)
             responsibilities = e_step(data, at.expected, shift, noise)
     return responsibilities.log_p
@@ -350,7 +343,7 @@ def _peaked(
         lambda u: -log_likelihood(data, at(u), state, noise_bounds),
         bounds=(-reach, reach),
         method="bounded",
-        options={"xatol": SCAN.fit.profile_tolerance, "maxiter": SCAN.fit.max_profile_casts},
+        options={"xatol": SCAN.fit.profile_tolerance},
     )
     return at(float(found.x))
 

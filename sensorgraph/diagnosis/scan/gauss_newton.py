@@ -27,7 +27,7 @@ from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibili
 from sensorgraph.diagnosis.scan.normal_equations import (
     BoundedOptimum,
     System,
-    boxed_optimum,
+    boxed,
     with_prior,
     without_poses,
 )
@@ -216,9 +216,7 @@ class Solver:
 
     def maximise(self, system: System, state: State, like: BoundedOptimum | None = None) -> BoundedOptimum:
         """Solve for (g, p) with priors and bounds; the active bounds of a similar optimum `like` are tried first."""
-        return boxed_optimum(
-            system.matrix, system.right, self.scaled(state), self.box(state), self.locked, like
-        )
+        return boxed(system.matrix, system.right, self.scaled(state), self.box(state), self.locked, like)
 
     def box(self, state: State) -> Floats:
         """Return the bound of each nuisance's absolute value."""
@@ -303,7 +301,7 @@ def iterate(
                 system=system,
                 covariance=np.zeros((0, 0)),  # that of the best round alone follows at the end
             )
-            if gained < SCAN.fit.min_round_gain and turn > 1:
+            if gained < SCAN.fit.min_gain and turn > 1:
                 break
         elif turn > 2:
             break
@@ -337,11 +335,11 @@ def fitted_noise(
     returnable = max(float((solver.expected.p_return * np.isfinite(solver.expected.reading)).sum()), 1.0)
     n = max(float(solver.data.returned.sum()), 1.0)
     return BeamNoise(
-        core=float(np.clip(np.sqrt(variance), *noise_bounds.core)),
-        tail=float(np.clip(responsibilities.tail[is_whole].sum() / count, *noise_bounds.tail)),
-        loss=float(np.clip(responsibilities.lost.sum() / returnable, *noise_bounds.loss)),
-        stray=float(np.clip(responsibilities.stray.sum() / n, *noise_bounds.stray)),
-    )
+        core=float(np.sqrt(variance)),
+        tail=float(responsibilities.tail[is_whole].sum()) / count,
+        loss=float(responsibilities.lost.sum()) / returnable,
+        stray=float(responsibilities.stray.sum()) / n,
+    ).within(noise_bounds)
 
 
 def _scales(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,8 +10,9 @@ from sensorgraph.diagnosis.result import FitQuality, Gap
 from sensorgraph.diagnosis.scan.cast_place import as_cast, as_pose_errors, pose_like
 from sensorgraph.diagnosis.scan.fit import Fitted, solver_of_nuisances
 from sensorgraph.diagnosis.scan.gauss_newton import State
-from sensorgraph.diagnosis.scan.likelihood import Responsibilities, e_step, sample
-from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
+from sensorgraph.diagnosis.scan.likelihood import Responsibilities
+from sensorgraph.diagnosis.scan.nuisance import BeamNoise
+from sensorgraph.diagnosis.scan.residuals import drawn_scans, with_poses_of_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -47,23 +47,16 @@ class _HeldOutFit:
         ----------
         begin : (n_scans, 3) Initial pose errors; by default those of the casts.
         """
-        solver, expected = self.solver.with_readings(data), self.expected
+        solver = self.solver.with_readings(data)
         state = State(
             g=np.where(solver.locked, 0.0, self.fitted.state.g),
-            delta=(self.begin if begin is None else begin).copy(),
+            delta=self.begin if begin is None else begin,
             noise=self.noise,
             pose_scale=self.fitted.state.pose_scale,
             map_scale=self.fitted.state.map_scale,
         )
-        even = np.zeros(expected.reading.shape, dtype=np.bool_)
-        even[:, ::2] = True
-        none = np.zeros(0)
-        for _ in range(SCAN.fit.pose_rounds):
-            responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
-            system = solver.assemble(np.where(even, responsibilities.weight, 0.0), state.pose_scale)
-            state.delta = system.poses_at(state.g)
-        shift = solver.shift(state, none)
-        return e_step(data, expected, shift, state.noise), expected.reading + shift
+        responsibilities, shift = with_poses_of_rays(solver, state, np.arange(data.n_rays) % 2 == 0)
+        return responsibilities, self.expected.reading + shift
 
 
 def held_out_gap(
@@ -72,11 +65,12 @@ def held_out_gap(
     final: Fitted,
     named: Sequence[Amendment],
     *,
+    shared: Sequence[Amendment] = (),
     rng: np.random.Generator,
 ) -> Gap:
     """Measure the gap before and after on held-out scans, and the noise floor of a perfect model.
 
-    "Before" is the nominal simulator; "after" includes the named effects. Both include the small setup corrections (map,
+    "Before" is the nominal simulator with the shared effects; "after" includes the named effects. Both include the small setup corrections (map,
     mount, clocks within tolerance) of the final fit, so that they differ only in the effects.
 
     The pose error of each scan is estimated on its even rays, and the gap is measured on the odd ones. The RMS excludes
@@ -87,8 +81,9 @@ def held_out_gap(
     ----------
     null, final : Fits without effects and of the accepted model, to the other scans.
     named : Effects of the amended simulator.
+    shared : Those of them that a simulator shows already.
     """
-    before = _HeldOutFit(data, (), final, null.state.noise)
+    before = _HeldOutFit(data, shared, final, (final if shared else null).state.noise)
     after = _HeldOutFit(data, named, final, final.state.noise if named else null.state.noise)
     judged_before, mu_before = before.e_step(data)
     judged_after, mu_after = after.e_step(data)
@@ -96,14 +91,14 @@ def held_out_gap(
     odd[:, 1::2] = True
     odd &= ~np.isnan(data.ranges)
     sigma = data.sensor.sigma
-    edge, stray = SCAN.likelihood.min_edge_chance, SCAN.likelihood.stray_responsibility
+    edge, stray = SCAN.likelihood.min_edge_chance, 0.5
     seen = odd & (after.expected.p_alternative < edge) & (before.expected.p_alternative < edge)
     seen &= judged_after.stray <= stray
     seen &= (after.steep < sigma) & (before.steep < sigma)
 
     floors = []
     for _ in range(SCAN.goodness_of_fit.n_slow_replicates):
-        drawn, errors = _drawn(data, after, final, rng)
+        drawn, errors = drawn_scans(data, after.solver, final.state, np.zeros(0), rng)
         # as for the measured scans, start at the likely poses
         responsibilities, mu = after.e_step(drawn, None if data.posed is None else errors)
         clear = seen & (responsibilities.stray <= stray)
@@ -128,15 +123,3 @@ def _fit(
         normalised=rmse / sigma if sigma else 0.0,
         nats_per_ray=float(-responsibilities.log_p[odd].mean()),
     )
-
-
-def _drawn(
-    data: ScanData, side: _HeldOutFit, final: Fitted, rng: np.random.Generator
-) -> tuple[ScanData, Floats]:
-    """Sample readings of the held-out scans from the final model; return the data and its pose errors (n_scans, 3)."""
-    expected, state = side.expected, final.state
-    prior = pose_prior(data, state.pose_scale)
-    delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(data.n_scans, 3)))
-    there = State(g=np.where(side.solver.locked, 0.0, state.g), delta=delta, noise=state.noise)
-    mu = expected.reading + side.solver.shift(there, np.zeros(0))
-    return replace(data, ranges=sample(data, expected, mu, state.noise, rng)), delta

@@ -42,8 +42,6 @@ MIN_EDGE_STEP = 0.01
 """[m] minimum distance between the two sides of an edge."""
 LATTICE_SLACK = 0.51
 """Maximum distance of a reading from its lattice, in resolutions."""
-OFF_LATTICE = 1e-9
-"""Density factor of a reading that is farther off its lattice."""
 CUT = 2.5
 """Standard deviations from a limit of the sensor, within which a residual has weight 0.
 
@@ -276,7 +274,7 @@ def mixture(
                 if lattice > 0:
                     steps = reading / lattice
                     if abs(steps - math.floor(steps + 0.5)) * lattice > LATTICE_SLACK * cell + 1e-9:
-                        own = OFF_LATTICE
+                        own = 0.0
                     half = lattice / 2
                     t = tail_width * s
                     core = (_normal_cdf((e + half) / s) - _normal_cdf((e - half) / s)) / cell

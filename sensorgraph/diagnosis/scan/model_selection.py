@@ -268,7 +268,7 @@ class CandidateFits:
         self.quick.sort(key=lambda pair: -pair[0])
         few, limit = thin(self.data, self._every), self._limit()
         for k, (gain, got) in enumerate(self.quick[: SCAN.selection.max_finalists]):
-            if gain > limit and is_rough(got.model[-1]):
+            if gain > limit and got.model[-1].search_steps:
                 turns = 3 if got.model[-1].effect.absorber else 1
                 better = searched(few, got, self.noise_bounds, rounds=4, first=1.0, turns=turns)
                 self.quick[k] = (gain + (better.j - got.j) * self._every, better)
@@ -287,15 +287,10 @@ class CandidateFits:
                 self.behind.append((got.model[-1], gain))
                 continue
             full = fit(self.data, got.model, self.current.state, self.noise_bounds, outer=3, inner=3)
-            if is_rough(full.model[-1]):
+            if full.model[-1].search_steps:
                 full = searched(self.data, full, self.noise_bounds, rounds=2, first=0.25, turns=1)
             out.append((full, worth(self.data, full.model[-1], full, self.current)))
         return out
-
-
-def is_rough(amendment: Amendment) -> bool:
-    """Return whether an effect has parameters that are found by search instead of the linear solve."""
-    return bool(amendment.search_steps)
 
 
 def searched(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sensorgraph.diagnosis.engine.ledger import Objection
+from sensorgraph.diagnosis.engine.ledger import SURELY, Objection
 from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.result import (
     ChannelResult,
@@ -161,11 +161,6 @@ def located(amendment: Amendment, data: ScanData) -> Amendment:
     return amendment
 
 
-def is_material(fitted: Fitted, amendment: Amendment) -> bool:
-    """Tell whether an effect is large enough to be named, with sufficient probability."""
-    return not why_immaterial(fitted, amendment)
-
-
 def why_immaterial(fitted: Fitted, amendment: Amendment) -> Objection | None:
     """Return why an effect is not surely large enough to be named; None if it is."""
     if is_within_baseline(fitted, amendment):
@@ -198,7 +193,7 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
     told, naming = fit.told, SCAN.naming
     if told is None:
         return False
-    share = naming.max_building_share if told.is_of_building else naming.max_unexplained_share
+    share = SCAN.goodness_of_fit.failed_law_share if told.is_of_building else naming.max_unexplained_share
     return told.misfit > share * explained.gains[index]
 
 
@@ -216,7 +211,7 @@ def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
     """Return the probability that a name is right and its size material, calibrated on development cases."""
     naming, fitted, gain = SCAN.naming, explained.final, explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
-    p = naming.max_probability * float(expit(naming.probability_per_nat * min(gain, margin)))
+    p = SURELY * float(expit(naming.probability_per_nat * min(gain, margin)))
     if fit.told is not None and not fit.told.is_of_building:
         p *= naming.doubted_factor
     return float(p * material_chance(fitted, fitted.model[index]))

@@ -90,23 +90,18 @@ def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, prior: 
     )
 
 
-def boxed(matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools) -> tuple[Floats, Floats]:
-    """Maximise rightᵀx - ½ xᵀMx - ½ |g/tau|² subject to |g| <= box; return g and the other, unbounded unknowns.
+def boxed(
+    matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools, like: BoundedOptimum | None = None
+) -> BoundedOptimum:
+    """Maximise rightᵀx - ½ xᵀMx - ½ |g/tau|² subject to |g| <= box.
 
     Parameters
     ----------
-    matrix, right : (k, k), (k,) Normal equations M x = right; the first n unknowns are the nuisances g.
+    matrix, right : (k, k), (k,) Normal equations M x = right; the first n unknowns are the nuisances g, the others have no bound.
     tau, box : (n,) Prior standard deviations and bounds.
     locked : (n,) Nuisances that are held at 0.
+    like : Optimum of a similar problem, whose active bounds are tried first.
     """
-    x = boxed_optimum(matrix, right, tau, box, locked).x
-    return x[: len(tau)], x[len(tau) :]
-
-
-def boxed_optimum(
-    matrix: Floats, right: Floats, tau: Floats, box: Floats, locked: Bools, like: BoundedOptimum | None = None
-) -> BoundedOptimum:
-    """Return the optimum of `boxed` with its active bounds; those of a similar problem `like` are tried first."""
     limit = limits(len(right), box, locked)
     if like is not None:
         like = replace(like, x=np.where(like.is_free, 0.0, np.sign(like.x) * np.minimum(limit, 1e300)))

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.scan.corner_sums import Corners
+from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.sweep_wobble import wobble_of_readings
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
@@ -25,10 +26,6 @@ from sensorgraph.world.beams import Beams
 from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.nuisance
-MIN_COSINE = 1e-3
-"""Minimum cosine of the incidence as a divisor."""
-MIN_BENT_RANGE = 0.1
-"""[m] minimum range of a bent ray as a divisor."""
 
 
 def prior_widths(tolerances: Tolerances) -> Floats:
@@ -96,8 +93,7 @@ def linearise(
         dr/dx = n_x / cos a,    dr/dy = n_y / cos a,
         dr/dphi = r (n_y u_x - n_x u_y) / cos a + l_x dr/dy - l_y dr/dx.
 
-    Here l is the lever arm from base_link to the laser. The columns of all nuisances are made in one piece, since they
-    share these derivatives.
+    Here l is the lever arm from base_link to the laser.
 
     Parameters
     ----------
@@ -131,36 +127,22 @@ def linearise(
         r = np.where(which, beams.reading, r)
         slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
         t = data.tolerances
-        near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), MIN_BENT_RANGE)
-        blur = t.map / near + 0.5 * t.mount_yaw
-        blur = np.where(which, blur, np.hypot(blur, t.pose_yaw + t.pose_xy / near))
-        slack = steepness * blur
+        near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), MIN_SHORT_RANGE)
+        off = t.map / near + 0.5 * t.mount_yaw
+        slack = steepness * np.where(which, off, np.hypot(off, t.pose_yaw + t.pose_xy / near))
         valid = valid | which
-    n_rays = beams.ranges.shape[1]
-    carried = np.einsum("nkm,nk->nm", pose, data.twists)
-    late = (data.stamps - data.begin) / data.span
-    nuisances = np.empty((len(phi), len(Nuisance), n_rays))
-    nuisances[:, Nuisance.MOUNT_X] = c * dx + s * dy
-    nuisances[:, Nuisance.MOUNT_Y] = c * dy - s * dx
-    nuisances[:, Nuisance.MOUNT_YAW] = turn
-    nuisances[:, Nuisance.BIAS] = valid
-    nuisances[:, Nuisance.SCALE] = r * slope
-    nuisances[:, Nuisance.DRIFT] = valid * late[:, None]
-    nuisances[:, Nuisance.DELAY] = -carried
-    nuisances[:, Nuisance.SKEW] = carried * data.sensor.sweep_share
     wall = np.where(on, beams.wall, 0)
     share = _share(beams, walls, wall)
     ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])
-    grazing = straight & ~valid
-    divisor = np.maximum(cosine, MIN_COSINE)
     constant, share_of_range = SETTINGS.grazing_sigma
-    sigma = np.minimum(constant / divisor + share_of_range * beams.ranges / divisor, SETTINGS.max_steep_sigma)
-    steep = np.where(grazing, sigma, 0.0)
-    steep = np.where(slack > 0, np.minimum(slack, SETTINGS.max_steep_sigma), steep)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = (constant + share_of_range * beams.ranges) / np.abs(cosine)
+    steep = np.where(straight & ~valid, sigma, 0.0)
+    steep = np.minimum(np.where(slack > 0, slack, steep), SETTINGS.max_steep_sigma)
     beside = wobble_of_readings(data.wobble, pose), _by_corners_that_stay(data, wall, ends)
     return Jacobian(
         pose=pose,
-        nuisances=nuisances,
+        nuisances=_nuisance_columns(data, pose, turn, r * slope, valid),
         ends=ends,
         wall=wall,
         nx=nx,
@@ -168,6 +150,29 @@ def linearise(
         valid=valid,
         steep=np.hypot.reduce([steep, *beside]),
     )
+
+
+def _nuisance_columns(data: ScanData, pose: Floats, turn: Floats, lengths: Floats, valid: Bools) -> Floats:
+    """Return the derivatives by each Nuisance (n_scans, 8, n_rays).
+
+    Parameters
+    ----------
+    pose, turn : Derivatives by the pose (n_scans, 3, n_rays), and by a turn of the laser about itself (n_scans, n_rays).
+    lengths : (n_scans, n_rays) [m] Derivative by the scale of the ranges.
+    """
+    c, s = np.cos(data.poses[:, 2:]), np.sin(data.poses[:, 2:])
+    dx, dy = pose[:, 0], pose[:, 1]
+    carried = np.einsum("nkm,nk->nm", pose, data.twists)
+    out = np.empty((data.n_scans, len(Nuisance), data.n_rays))
+    out[:, Nuisance.MOUNT_X] = c * dx + s * dy
+    out[:, Nuisance.MOUNT_Y] = c * dy - s * dx
+    out[:, Nuisance.MOUNT_YAW] = turn
+    out[:, Nuisance.BIAS] = valid
+    out[:, Nuisance.SCALE] = lengths
+    out[:, Nuisance.DRIFT] = valid * ((data.stamps - data.begin) / data.span)[:, None]
+    out[:, Nuisance.DELAY] = -carried
+    out[:, Nuisance.SKEW] = carried * data.sensor.sweep_share
+    return out
 
 
 def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:
@@ -221,6 +226,10 @@ class BeamNoise:
     """Probability that a ray which should return is missing."""
     stray: float = 1e-3
     """Share of outliers, which are uniform over the range."""
+
+    def within(self, bounds: NoiseBounds) -> BeamNoise:
+        """Return the noise, clipped to bounds."""
+        return BeamNoise(**{k: float(np.clip(v, *getattr(bounds, k))) for k, v in vars(self).items()})
 
 
 def pose_prior(data: ScanData, scale: float) -> Floats:

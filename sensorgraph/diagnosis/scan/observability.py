@@ -20,8 +20,8 @@ from functools import cached_property
 import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
-from sensorgraph.diagnosis.scan.fit import Fitted, columns_of
-from sensorgraph.diagnosis.scan.normal_equations import boxed
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.normal_equations import System, boxed
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Hypothesis, hypotheses
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -90,8 +90,10 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
     out: dict[str, str] = {}
     blind: dict[str, list[str]] = {}
     partly: dict[str, list[str]] = {}
-    for hypothesis in exposure.hypotheses:
+    for hypothesis in exposure.hypotheses[0]:
         amendment, effect = hypothesis.amendment, hypothesis.amendment.effect
+        if not effect.sizes or (amendment.place and effect.place is None):  # on one of several sensors
+            continue
         need = exposure.need(amendment)
         nats = [exposure.nats(hypothesis.directions @ size) for size in _sizes(effect)]
         if min(nats) >= need:
@@ -107,13 +109,6 @@ def _smooth(exposure: RunExposure) -> dict[str, str]:
         out[effect.name] = (
             f"{reason}; at {OBSERVABLE_SIZE:g} times its materiality, {falls_short(min(nats), need)}"
         )
-    for effect in EFFECTS.values():
-        if effect.has_own_columns and effect.sizes and effect.name not in exposure.fitted.names():
-            nats_alone, need = exposure.nats_alone(effect), exposure.need_of(effect)
-            if nats_alone < need:
-                out[effect.name] = (
-                    f"{_lacks(effect, exposure)}; at {OBSERVABLE_SIZE:g} times its materiality, {falls_short(nats_alone, need)}"
-                )
     for name, places in blind.items():
         out[name] = f"{listed(places)}: observed too rarely for {OBSERVABLE_SIZE:g} times its materiality"
     for name, places in partly.items():
@@ -144,7 +139,7 @@ class RunExposure:
 
     def __init__(self, data: ScanData, fitted: Fitted) -> None:
         self.data, self.fitted = data, fitted
-        self.system, self.solver = fitted.solution.system, fitted.solver
+        self.solver = fitted.solver
         self.tau = self.solver.scaled(fitted.state)
         self.n = self.solver.n_g
         self.arena, self.sensor = data.arena, data.sensor
@@ -173,15 +168,15 @@ class RunExposure:
         return self.need(effect(**{p.name: 1.0 for p in effect.parameters}))
 
     @cached_property
-    def hypotheses(self) -> list[Hypothesis]:
-        """Smooth effects as directions in the space of the nuisances."""
+    def hypotheses(self) -> tuple[list[Hypothesis], System]:
+        """Smooth effects as directions among unknowns, and the normal equations of these."""
         return hypotheses(self.data, self.fitted)
 
-    def nats(self, shift: Floats) -> float:
-        """Return the expected evidence if the truth differs by `shift` (n_g,) from a model without it."""
-        matrix = self.system.matrix
-        x = np.concatenate([shift, np.zeros(len(matrix) - self.n)])
-        return _missing(matrix, matrix @ x, float(x @ matrix @ x), self.tau, self.solver.locked)
+    def nats(self, x: Floats) -> float:
+        """Return the expected evidence [nats] if the truth differs by unknowns x (n,) from a model without them."""
+        matrix, n = self.hypotheses[1].matrix, len(self.fitted.solution.system.right)
+        right = matrix @ x
+        return _missing(matrix[:n, :n], right[:n], float(x @ right), self.tau, self.solver.locked)
 
     def nats_of_columns(self, columns: Floats, size: float) -> list[float]:
         """Return the expected evidence [nats] of each of several smooth changes of the readings, with nuisances refitted.
@@ -200,15 +195,6 @@ class RunExposure:
             )
             for k in range(len(matrix) - columns.shape[1], len(matrix))
         ]
-
-    def nats_alone(self, effect: Effect) -> float:
-        """Return the minimum evidence [nats] over the parameters of a smooth effect at OBSERVABLE_SIZE materialities."""
-        columns = columns_of(self.data, self.fitted, effect.at_neutral())
-        typical = effect.typical(OBSERVABLE_SIZE)
-        sizes = [typical[name] for name in effect.steps]
-        return min(
-            self.nats_of_columns(columns[:, k : k + 1], size)[0] for k, size in enumerate(sizes) if size
-        )
 
     def lost(self, chance: Floats | float, some: Bools) -> float:
         """Return the expected evidence if rays `some` return with probability `chance`, with the loss refitted.
@@ -231,7 +217,6 @@ class RunExposure:
 
 def _missing(matrix: Floats, right: Floats, square: float, tau: Floats, held: Bools) -> float:
     """Return half of the squared length that bounded nuisances do not absorb."""
-    g, p = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held)
-    x = np.concatenate([g, p])
-    taken = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((g / tau) ** 2))
+    x = boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held).x
+    taken = float(right @ x - 0.5 * x @ matrix @ x - 0.5 * np.sum((x[: len(tau)] / tau) ** 2))
     return max(0.5 * square - taken, 0.0)

@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.likelihood import SQRT_TAU, e_step, sample
+from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
+from sensorgraph.diagnosis.scan.likelihood import SQRT_TAU, Responsibilities, e_step, sample
 from sensorgraph.diagnosis.scan.nuisance import pose_prior
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -46,7 +47,7 @@ class FitResiduals:
         self.model: Sequence[Present] = self.fitted.model
         self.nominal_sigma = expected.sigma
         self.sigma = self.noise.core * expected.sigma
-        self.strange = self.returned & (self.stray > SCAN.likelihood.stray_responsibility)
+        self.strange = self.returned & (self.stray > 0.5)
         self.range_max = self.data.sensor.range_max
         with np.errstate(invalid="ignore"):
             self.short = self.strange & (
@@ -113,14 +114,10 @@ class FitResiduals:
 def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple[ScanData, Fitted]:
     """Draw readings from a fitted model, with pose errors and tails, and refit the nuisances linearly."""
     solution, expected = fitted.solution, fitted.cast.expected
-    state = solution.state.copy()
-    prior = pose_prior(data, state.pose_scale)
-    state.delta = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=state.delta.shape))
-    mu = expected.reading + fitted.solver.shift(state, solution.p)
-    drawn = replace(data, ranges=sample(data, expected, mu, state.noise, rng))
+    state = solution.state
+    drawn, errors = drawn_scans(data, fitted.solver, state, solution.p, rng)
     solver = fitted.solver.with_readings(drawn)
-    begin = np.zeros_like(state.delta) if data.posed is None else state.delta
-    state = replace(solution.state.copy(), delta=begin)
+    state = replace(state.copy(), delta=np.zeros_like(errors) if data.posed is None else errors)
     p, optimum = solution.p, None
     for _ in range(2):
         responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
@@ -131,3 +128,40 @@ def replicate(data: ScanData, fitted: Fitted, rng: np.random.Generator) -> tuple
     responsibilities = e_step(drawn, expected, solver.shift(state, p), state.noise)
     refit = replace(solution, state=state, p=p, j=0.0, responsibilities=responsibilities, system=system)
     return drawn, replace(fitted, solution=refit, solver=solver)
+
+
+def drawn_scans(
+    data: ScanData, solver: Solver, state: State, p: Floats, rng: np.random.Generator
+) -> tuple[ScanData, Floats]:
+    """Draw pose errors and readings of scans from a model.
+
+    Parameters
+    ----------
+    solver : The model, linearised at these scans.
+    state, p : Its nuisances except for pose errors, and the increments (k,) of its effects.
+
+    Returns
+    -------
+    The scans with the drawn readings, and their pose errors (n_scans, 3).
+    """
+    prior = pose_prior(data, state.pose_scale)
+    errors = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(data.n_scans, 3)))
+    g = np.where(solver.locked, 0.0, state.g)
+    mu = solver.expected.reading + solver.shift(replace(state, g=g, delta=errors), p)
+    return replace(data, ranges=sample(data, solver.expected, mu, state.noise, rng)), errors
+
+
+def with_poses_of_rays(solver: Solver, state: State, rays: Bools) -> tuple[Responsibilities, Floats]:
+    """Fit the pose of each scan to some rays (n_rays,), at given other nuisances and without effects.
+
+    Returns
+    -------
+    Responsibilities of all rays, and the contribution of the nuisances to their readings (n_scans, n_rays) [m].
+    """
+    state, none = state.copy(), np.zeros(0)
+    for _ in range(SCAN.fit.rounds):
+        found = e_step(solver.data, solver.expected, solver.shift(state, none), state.noise)
+        system = solver.assemble(np.where(rays, found.weight, 0.0), state.pose_scale)
+        state.delta = system.poses_at(state.g)
+    shift = solver.shift(state, none)
+    return e_step(solver.data, solver.expected, shift, state.noise), shift

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,6 @@ from sensorgraph.world.sweep import with_sweep_of
 
 T = TypeVar("T")
 
-LAID, POSED = b"laid", b"posed"
-"""Keys of `ScanData.memo`: the data with the walls, and with the poses, of the latest cast."""
 GOLDEN_RATIO = (1 + np.sqrt(5)) / 2
 
 
@@ -132,12 +130,17 @@ class ScanData:
         To first order, a pose error only shifts a reading. However, it also moves outlines, and rays may then
         meet or miss them.
         """
-        for kept in (self, self.memo.get(POSED)):
-            if isinstance(kept, ScanData) and kept.posed is not None and np.array_equal(kept.posed, errors):
-                return kept  # with its casts
         by = errors if self.posed is None else errors - self.posed
-        self.memo[POSED] = posed = replace(self, poses=self.poses + by, posed=errors, memo={})
-        return posed
+        return self._cast_elsewhere("posed", errors, lambda: {"poses": self.poses + by})
+
+    def _cast_elsewhere(self, name: str, shifts: Floats, make: Callable[[], dict[str, object]]) -> ScanData:
+        """Return data with shifts in the field `name`, and other fields to go with it; the latest ones, with their casts, are kept."""
+        for kept in (self, self.memo.get(name.encode())):
+            if isinstance(kept, ScanData) and np.array_equal(getattr(kept, name), shifts):
+                return kept
+        changed: dict[str, Any] = {**make(), name: shifts, "memo": {}}
+        self.memo[name.encode()] = moved = replace(self, **changed)
+        return moved
 
     @property
     def pose_start(self) -> Floats:
@@ -177,13 +180,9 @@ class ScanData:
         if self.grain <= 0 or self.corners is None or not self.corners.count:
             return self
         new = np.clip(shifts, -self.grain, self.grain)
-        for kept in (self, self.memo.get(LAID)):
-            if isinstance(kept, ScanData) and kept.laid is not None and np.array_equal(kept.laid, new):
-                return kept  # with its casts
-        by = new if self.laid is None else new - self.laid
-        walls = self.arena.walls + by.reshape(-1, 2)[self.corners.ends]
-        self.memo[LAID] = laid = replace(self, arena=replace(self.arena, walls=walls), laid=new, memo={})
-        return laid
+        by, ends = new if self.laid is None else new - self.laid, self.corners.ends
+        walls = self.arena.walls + by.reshape(-1, 2)[ends]
+        return self._cast_elsewhere("laid", new, lambda: {"arena": replace(self.arena, walls=walls)})
 
     def is_laid_by(self, shifts: Floats) -> bool:
         """Return whether walls are where `laid_by` would place them, to within a small share of the map tolerance."""

@@ -21,7 +21,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.cast_place import as_cast
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, slopes
-from sensorgraph.diagnosis.scan.normal_equations import BorderedProblem, System, boxed, limits, with_prior
+from sensorgraph.diagnosis.scan.normal_equations import BorderedProblem, System, limits, with_prior
 from sensorgraph.diagnosis.scan.nuisance import corners_of, effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -49,68 +49,72 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hypothesis:
-    """An effect at zero, in the span of the nuisance columns."""
+    """An effect at zero, as directions among the unknowns of a fit."""
 
     amendment: Amendment
     directions: Floats
-    """(n_g, k) Change of the nuisances per unit of each smooth parameter of the effect."""
+    """(n, k) Change of the unknowns per unit of each smooth parameter of the effect."""
     nuisances: tuple[Nuisance, ...] = ()
     """Tolerance-sized copies of the effect, held at 0 during the test."""
 
 
 def smooth_candidates(data: ScanData, fitted: Fitted) -> list[Candidate]:
     """Return every smooth effect with its start values and expected gain, best first."""
-    data, solver, state = as_cast(data, fitted.state), fitted.solver, fitted.state
-    weight, system = fitted.solution.responsibilities.weight, fitted.solution.system
-    tau = solver.scaled(state)
-    held = solver.locked
-    problem = _problem(system, tau, held)
-    here = problem.optimum.x
-    reference = _quadratic(system.matrix, system.right, tau, here, here)
-    found = []
-    for hypothesis in hypotheses(data, fitted):
-        amendment, directions = hypothesis.amendment, hypothesis.directions
-        asked = problem
+    solver, tau = fitted.solver, fitted.solver.scaled(fitted.state)
+    found, system = hypotheses(as_cast(data, fitted.state), fitted)
+    n_fitted = len(fitted.solution.system.right)
+
+    def problem(locked: Bools) -> BorderedProblem:
+        limit = limits(len(system.right), SCAN.nuisance.max_tolerances * tau, locked)
+        limit[n_fitted:] = 0.0  # the columns of hypotheses
+        return BorderedProblem(with_prior(system.matrix, tau), system.right, -limit, limit)
+
+    plain, out = problem(solver.locked), []
+    here = plain.optimum.x
+    reference = _quadratic(system, tau, here, here)
+    for hypothesis in found:
+        amendment, asked = hypothesis.amendment, plain
         if hypothesis.nuisances:
-            locked = held.copy()
+            locked = solver.locked.copy()
             locked[list(hypothesis.nuisances)] = True
-            asked = _problem(system, tau, locked)
-        value, size = _along(system, tau, asked, directions)
+            asked = problem(locked)
+        value, size = _along(system, tau, asked, hypothesis.directions)
         names = amendment.effect.steps
-        moved = amendment.moved_to(
-            {k: amendment.parameters.get(k, 0.0) + float(v) for k, v in zip(names, size, strict=True)}
-        )
-        found.append(Candidate(amendment=moved, gain=value - reference))
-    found += _outside_nuisances(data, fitted, weight)
-    return sorted(found, key=lambda c: -c.gain)
+        moved = {k: amendment.parameters.get(k, 0.0) + float(v) for k, v in zip(names, size, strict=True)}
+        out.append(Candidate(amendment=amendment.moved_to(moved), gain=value - reference))
+    return sorted(out, key=lambda c: -c.gain)
 
 
-def _outside_nuisances(data: ScanData, fitted: Fitted, weight: Floats) -> list[Candidate]:
-    """Test smooth effects outside the span of the nuisances, in one system with the columns of all.
+def hypotheses(data: ScanData, fitted: Fitted) -> tuple[list[Hypothesis], System]:
+    """Return the smooth effects that the model lacks, and the normal equations of the fit with their columns.
 
-    These are effects with columns of their own and, of several sensors, bias, scale and mount of each.
+    Most lie in the span of the nuisances. The others add columns of their own, after the unknowns of the fit: effects whose
+    derivatives are not among the nuisances and, of several sensors, bias, scale and mount of each.
     """
-    old, state = fitted.solver, fitted.state
+    system, present = fitted.solution.system, {(a.name, a.place) for a in fitted.model}
     own = [
-        effect for effect in EFFECTS.values() if effect.has_own_columns and effect.name not in fitted.names()
+        (effect.at_neutral(), columns_of(data, fitted, effect.at_neutral()))
+        for effect in EFFECTS.values()
+        if effect.has_own_columns and effect.name not in fitted.names()
     ]
-    blocks = [(effect.at_neutral(), columns_of(data, fitted, effect.at_neutral())) for effect in own]
-    blocks += _of_one_sensor(data, fitted)
-    if not blocks:
-        return []
-    wide = old.with_columns(np.concatenate([columns for _, columns in blocks], axis=1))
-    system, tau = wide.assemble(weight, state.pose_scale), old.scaled(state)
-    n_old = len(system.right) - sum(columns.shape[1] for _, columns in blocks)
-    without, _ = _solved(system.matrix[:n_old, :n_old], system.right[:n_old], tau, old.locked)
-    found, first = [], n_old
-    for at, columns in blocks:
-        k = columns.shape[1]
-        some = np.concatenate([np.arange(n_old), np.arange(first, first + k)])
-        value, x = _solved(system.matrix[np.ix_(some, some)], system.right[some], tau, old.locked)
-        moved = {name: at[name] + float(v) for name, v in zip(at.effect.steps, x[-k:], strict=True)}
-        found.append(Candidate(amendment=at.moved_to(moved), gain=value - without))
-        first += k
-    return found
+    own += _of_one_sensor(data, fitted)
+    n_fitted = len(system.right)
+    if own:
+        wide = fitted.solver.with_columns(np.concatenate([columns for _, columns in own], axis=1))
+        system = wide.assemble(fitted.solution.responsibilities.weight, fitted.state.pose_scale)
+    units = np.eye(len(system.right))
+    out = []
+    for effect in effects_with_nuisances():
+        copies = effect.nuisances
+        if (effect.name, "") in present or fitted.solver.locked[list(copies)].all():
+            continue
+        at_zero = effect(**dict.fromkeys(effect.steps, 0.0))
+        out.append(Hypothesis(amendment=at_zero, directions=units[:, list(copies)], nuisances=copies))
+    out += _of_the_map(data, fitted, units[:, len(Nuisance) : fitted.solver.n_g])
+    for at, columns in own:
+        out.append(Hypothesis(amendment=at, directions=units[:, n_fitted : n_fitted + columns.shape[1]]))
+        n_fitted += columns.shape[1]
+    return out, system
 
 
 def _of_one_sensor(data: ScanData, fitted: Fitted) -> list[tuple[Amendment, Floats]]:
@@ -147,27 +151,17 @@ def _columns_of_sensors(data: ScanData, fitted: Fitted, effect: Effect) -> Float
     return np.stack(out)
 
 
-def hypotheses(data: ScanData, fitted: Fitted) -> list[Hypothesis]:
-    """Return the smooth effects that the model lacks, in the span of the nuisance columns."""
-    n = fitted.solver.n_g
-    present = {(a.name, a.place) for a in fitted.model}
-    out = []
-    for effect in effects_with_nuisances():
-        copies = effect.nuisances
-        if (effect.name, "") in present or fitted.solver.locked[list(copies)].all():
-            continue
-        directions = np.zeros((n, len(copies)))
-        directions[copies, np.arange(len(copies))] = 1.0
-        at_zero = effect(**dict.fromkeys(effect.steps, 0.0))
-        out.append(Hypothesis(amendment=at_zero, directions=directions, nuisances=copies))
-    return [*out, *_of_the_map(data, fitted, present)]
+def _of_the_map(data: ScanData, fitted: Fitted, of_corners: Floats) -> list[Hypothesis]:
+    """Return effects of the map geometry as shifts of its corners: walls first, then obstacles, then the whole map.
 
-
-def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -> list[Hypothesis]:
-    """Return effects of the map geometry as shifts of its corners: walls first, then obstacles, then the whole map."""
+    Parameters
+    ----------
+    of_corners : (n, 2 n_corners) Unit vectors of the corners among the unknowns.
+    """
     corners = corners_of(data)
     if corners.count == 0:
         return []
+    present = {(a.name, a.place) for a in fitted.model}
     changed = {a.place for a in fitted.model if a.effect.place == "obstacle"}
     length = np.hypot(*np.diff(data.arena.walls, axis=1)[:, 0].T)
     is_short = length < 2 * SCAN.naming.min_wall_pixels * data.grain  # each further wall costs one solution
@@ -183,9 +177,7 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
                 continue
             if found.place and corners.rest >= 0 and found.shift[corners.rest].any():
                 continue  # few rays meet it, and it has no unknown
-            k = found.shift.shape[2]
-            directions = np.zeros((fitted.solver.n_g, k))
-            directions[len(Nuisance) :] = found.shift.reshape(-1, k)
+            directions = of_corners @ found.shift.reshape(of_corners.shape[1], -1)
             at_zero = effect(**dict.fromkeys(effect.steps, 0.0))
             if found.place:
                 at_zero = at_zero.at(found.place, found.xy)
@@ -193,30 +185,17 @@ def _of_the_map(data: ScanData, fitted: Fitted, present: set[tuple[str, str]]) -
     return out
 
 
-def _problem(system: System, tau: Floats, locked: Bools) -> BorderedProblem:
-    limit = limits(len(system.right), SCAN.nuisance.max_tolerances * tau, locked)
-    return BorderedProblem(with_prior(system.matrix, tau), system.right, -limit, limit)
-
-
 def _along(system: System, tau: Floats, problem: BorderedProblem, directions: Floats) -> tuple[float, Floats]:
-    """Return the maximum of q(x, x + D s) and the size s, for directions D (n_g, k) without a prior on s."""
-    n, k = directions.shape
-    across = system.matrix[:, :n] @ directions
-    corner = directions.T @ across[:n]
-    corner[np.diag_indices(k)] += 1e-9 + 1e-9 * np.diag(corner)
-    x = problem.with_border(across, corner, directions.T @ system.right[:n])
-    own, size = x[:-k], x[-k:]
-    moved = own.copy()
-    moved[:n] += directions @ size
-    return _quadratic(system.matrix, system.right, tau, own, moved), size
+    """Return the maximum of q(x, x + D s) and the size s, for directions D (n, k) without a prior on s."""
+    across = system.matrix @ directions
+    corner = directions.T @ across
+    corner[np.diag_indices(len(corner))] += 1e-9 + 1e-9 * np.diag(corner)
+    x = problem.with_border(across, corner, directions.T @ system.right)
+    own, size = np.split(x, [len(across)])
+    return _quadratic(system, tau, own, own + directions @ size), size
 
 
-def _quadratic(matrix: Floats, right: Floats, tau: Floats, x: Floats, moved: Floats) -> float:
-    """Return q(x, moved) [nats]: the gain of shifts `moved` (k,), minus the prior term of the nuisances in x (k,)."""
-    return float(right @ moved - 0.5 * moved @ matrix @ moved - 0.5 * np.sum((x[: len(tau)] / tau) ** 2))
-
-
-def _solved(matrix: Floats, right: Floats, tau: Floats, held: Bools) -> tuple[float, Floats]:
-    """Return the maximum of q(x, x), and x."""
-    x = np.concatenate(boxed(matrix, right, tau, SCAN.nuisance.max_tolerances * tau, held))
-    return _quadratic(matrix, right, tau, x, x), x
+def _quadratic(system: System, tau: Floats, x: Floats, moved: Floats) -> float:
+    """Return q(x, moved) [nats]: the gain of shifts `moved` (n,), minus the prior term of the nuisances in x (n,)."""
+    gain = system.right @ moved - 0.5 * moved @ system.matrix @ moved
+    return float(gain - 0.5 * np.sum((x[: len(tau)] / tau) ** 2))

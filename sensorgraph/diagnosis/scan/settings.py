@@ -90,8 +90,6 @@ class AlignmentSettings:
     """Share of returns at walls below which another scale of the map is searched for."""
     min_gain: float = 0.25
     """Minimum increase of the share of returns at walls in another alignment; half of it for a coarse one that is refined."""
-    min_scale_gain: float = 0.05
-    """Minimum increase of this share at another scale, over another alignment."""
     cell: float = 0.1
     """[m] Cell size of the raster of walls."""
     max_cells: int = 600
@@ -107,15 +105,10 @@ class AlignmentSettings:
     """Number of headings that are tried."""
     n_refined: int = 12
     """Number of best coarse headings or scales that are refined: four headings in a square room, and the neighbours of each."""
-    scale_range: tuple[float, float] = (0.5, 2.0)
-    """Range of map scales that are tried."""
     n_scales: int = 47
-    """Number of these scales, 3 % apart."""
-    far_range: tuple[float, float] = (0.5, 1.2)
-    """Scales outside `scale_range` that are tried, relative to the scale at which the map is as wide as the
-    observed area."""
-    unit_range: tuple[float, float] = (1 / 30, 1.2)
-    """The same for scales of another unit of length, for a run that observed a small part of the map."""
+    """Number of scales of the map that are tried between a half and twice a scale, 3 % apart."""
+    scale_range: tuple[float, float] = (1 / 30, 1.2)
+    """Limits of these scales, relative to that at which the map is as wide as the observed area."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,35 +159,26 @@ class LikelihoodSettings:
     """Probability of reading the other side of an edge, below which a ray counts as clear of the edge."""
     min_edge_step: float = 2.0
     """Minimum range difference between the two sides of an edge, in standard deviations of the sensor."""
-    stray_responsibility: float = 0.5
-    """Responsibility of the uniform component above which a reading counts as an outlier."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
     """Convergence of a fit, and detection of jumps to another surface (`fit`, `gauss_newton`)."""
 
-    min_round_gain: float = 0.05
-    """[nats] Gain of an expectation-maximisation round below which it is the last."""
+    min_gain: float = 0.1
+    """[nats] Gain of an expectation-maximisation round, or of another cast, below which it is the last."""
     max_strides: int = 16
     """Maximum number of rounds of a search with growing steps, which started far from the optimum."""
-    min_cast_gain: float = 0.3
-    """[nats] Gain of another cast below which it is the last."""
     casts: int = 4
     """Maximum number of casts of a fit without effects, each at the walls or poses of the previous one: in an
     occupancy-grid map, or with a wide reference tolerance."""
-    pose_rounds: int = 5
-    """Number of rounds of the fit at each cast, while the likely poses are found, and for a held-out scan."""
+    rounds: int = 6
+    """Number of rounds of a fit at the same cast: of likely poses, of a held-out scan, of additional columns, and of the noise at a
+    step of a searched parameter."""
     settled_step: float = 0.2
     """Step below which a fit has converged, in standard errors; of a search, relative to its first step."""
     profile_tolerance: float = 0.02
     """Relative step at which the search for a share or a width ends."""
-    max_profile_casts: int = 9
-    """Maximum number of casts of that search."""
-    noise_rounds: int = 3
-    """Number of rounds in which the noise is estimated again at a step of a searched parameter."""
-    column_rounds: int = 8
-    """Number of rounds of a fit with additional columns of differences without a name."""
     pose_steps: tuple[float, float, float] = (5e-4, 5e-4, 3e-4)
     """[m, m, rad] Steps of the difference quotients by the pose."""
     max_pose_slope: float = 60.0
@@ -248,22 +232,6 @@ class SweepSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StandardErrorSettings:
-    """Half-widths of searched parameters (`standard_errors`)."""
-
-    fall_window: tuple[float, float] = (0.15, 1.5)
-    """[nats] Decreases from which a parabola gives the half-width."""
-    broad_fall_window: tuple[float, float] = (1.0, 12.0)
-    """[nats] The same for effects on single readings, whose likelihood is jagged over small steps."""
-    max_casts: int = 7
-    """Maximum number of casts per side."""
-    first_step: float = 0.1
-    """First step, relative to the first step of the search."""
-    obstacle_step: float = 0.02
-    """[m] First step along which an obstacle is moved."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class GoodnessOfFitSettings:
     """Limits of residuals that a model leaves unexplained (`goodness_of_fit`, `unnamed`, `deviations`)."""
 
@@ -271,11 +239,9 @@ class GoodnessOfFitSettings:
     """[m] Cell size of the raster of places."""
     clip: float = 4.0
     """Standard deviations at which a residual is clipped, and from range_max within which a return is not due."""
-    bent_reference: float = 2.0
-    """Distortion of the reference, in tolerances, above which scans that fit the arena with its poses
-    contradict it."""
     min_rays: int = 40
-    """Minimum number of rays in a bin, and of scans for an estimate of the dispersion."""
+    """Minimum number of rays in a bin, and of scans for an estimate of the dispersion. Half as many scored rays are needed in each of
+    these scans, and readings that an absorbing effect, or the absence of an object, explains."""
     min_blocks: int = 5
     """Minimum number of blocks in a bin, of scans away from their poses, and of scans that show a change of a map; fewer are
     single faults."""
@@ -308,27 +274,15 @@ class GoodnessOfFitSettings:
     max_tolerance_scale: float = 3.2
     """Multiple of the nominal tolerances above which the setup differs from its description."""
     max_tolerance_scale_beside_effects: float = 2.0
-    """The same with effects in the model, which explain a part of the difference."""
+    """The same with effects in the model, which explain a part of the difference; distortion of the reference, in tolerances, above
+    which scans that fit the arena with its poses contradict it."""
     outline_distance: float = 0.1
     """[m] Distance from mapped walls above which an obstacle is separate from them."""
-    min_readings: int = 20
-    """Number of readings that an absorbing effect must explain, or the absence of an object, to be tested; and of scored rays of
-    a scan that counts for the dispersion."""
     failed_law_share: float = 0.1
-    """Share of an effect's evidence that counts as unexplained if its readings contradict its properties."""
+    """Share of an effect's evidence that counts as unexplained if its readings contradict its properties; maximum unexplained
+    misfit of a named effect, relative to its evidence, if only the building differs: an effect of the sensor shows everywhere."""
     clearly_better: float = 1.0
     """[nats] Minimum gain of a reading that one model explains and another does not."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProfileSettings:
-    """Errors that depend on bearing or range (`unnamed.error_profiles`)."""
-
-    n_knots: int = 12
-    """Number of bearings, or ranges, between which errors are interpolated."""
-    max_uneven_share: float = 0.1
-    """Maximum share of the squared errors that remains after a stretch of the field of view, if the stretch
-    is reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,12 +302,11 @@ class SiteSettings:
     """Weight of the prior variation of a careful setup, in windows."""
     prior_share: float = 1 / 3
     """Prior variation of a careful setup, relative to the materiality."""
-    free_width: float = 1e3
-    """[m, rad, s] Prior width of a free parameter."""
     clutter_factor: float = 1.4
     """Ratio of the evidence that a name requires to the largest evidence from clutter in good runs."""
     clutter_factor_of_one: float = 3.0
-    """The same if there is only one good run, which does not show the spread of clutter."""
+    """The same if there is only one good run, which does not show the spread of clutter. Also the ratio of a misfit to that of the
+    good runs above which it may be reported as unknown."""
     min_wall: float = 0.3
     """[m] Median length of walls below which a map is too fragmented for effects of whole walls and edges."""
     wide_noise: NoiseBounds = field(
@@ -362,10 +315,6 @@ class SiteSettings:
         )
     )
     """Bounds of the noise in a run that is known to be good."""
-    noise_rise: float = 1.15
-    """Factor by which noise levels may exceed those of the good run."""
-    misfit_factor: float = 3.0
-    """Ratio of a misfit to that of the good run above which it may be reported as unknown."""
     sector: float = float(np.radians(20.0))
     """[rad] Width of a sector of rays that meet the same objects."""
     inner_share: float = 0.7
@@ -393,17 +342,11 @@ class NamingSettings:
 
     min_material_probability: float = 0.65
     """Minimum probability that the size of a named effect is material."""
-    map_sigmas: float = 4.0
-    """Minimum protrusion of an obstacle from a mapped one, in map tolerances."""
     min_wall_pixels: float = 20.0
     """Minimum length of a wall that is tested for a move, in cells of the map; a shorter one moves with its
     neighbours."""
     max_unexplained_share: float = 0.006
     """Maximum unexplained misfit of a named effect, relative to its evidence."""
-    max_building_share: float = 0.1
-    """The same if only the building differs from its map; an effect of the sensor shows everywhere."""
-    max_probability: float = 0.975
-    """Maximum probability of a name, because effects outside the library sometimes look like it."""
     probability_per_nat: float = 0.15
     """Slope of the log-odds of a name with its evidence, or with its lead over a rival [1/nat]."""
     doubted_factor: float = 0.5
@@ -428,9 +371,7 @@ class ScanSettings:
     fit: FitSettings = field(default_factory=FitSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     sweep: SweepSettings = field(default_factory=SweepSettings)
-    standard_error: StandardErrorSettings = field(default_factory=StandardErrorSettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
-    profiles: ProfileSettings = field(default_factory=ProfileSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)
 

@@ -42,6 +42,12 @@ from sensorgraph.effects.set_up import SetUp
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Tolerances
 
+FALL_WINDOW = (0.15, 1.5)
+"""[nats] Decreases from which a parabola gives the half-width of a searched parameter."""
+MAX_CASTS = 7
+"""Maximum number of casts per side."""
+FIRST_STEP = 0.1
+"""First step, relative to the first step of the search."""
 LEAST_SEEN = 0.1
 """Minimum share of the squared error that a run shows, for any correlation time."""
 SURELY_MATERIAL = "surely_material"
@@ -88,12 +94,9 @@ def _silhouette_errors(
     amendment = fitted.model[index]
     if amendment.effect.place != "obstacle":
         return {}
-    unseen = [k for k, m in amendment.effect.sizes.items() if errors.get(k, 0.0) > m]
+    unseen = {k: 2 * m for k, m in amendment.effect.sizes.items() if errors.get(k, 0.0) > m}
     map_ = fitted.solver.data.tolerances.map
-    return {
-        k: float(np.hypot(_profiled(fitted, index, noise_bounds, k, SCAN.standard_error.obstacle_step), map_))
-        for k in unseen
-    }
+    return {k: float(np.hypot(_profiled(fitted, index, noise_bounds, k, v), map_)) for k, v in unseen.items()}
 
 
 def lattice_error(data: ScanData, q: float) -> float:
@@ -134,14 +137,10 @@ def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, 
         return np.asarray(log_p_at(data, moved, fitted.state, shares_noise).sum(axis=1))
 
     here = log_p(at)
-    bounds = (
-        SCAN.standard_error.fall_window if shares_noise is None else SCAN.standard_error.broad_fall_window
-    )
-    sides = [_fall(log_p, here, at, sign * step, bounds) for sign in (1.0, -1.0)]
-    width = max((side for side in sides if np.isfinite(side)), default=np.inf)  # the wall may end on one side
-    if shares_noise is None or not np.isfinite(sides).all():
-        return width
-    return jagged_error(lambda value: np.asarray(log_p(value) - here), data, at, step)
+    if shares_noise is not None:
+        return jagged_error(lambda value: np.asarray(log_p(value) - here), data, at, step)
+    sides = [_fall(log_p, here, at, sign * step) for sign in (1.0, -1.0)]
+    return max((side for side in sides if np.isfinite(side)), default=np.inf)  # the wall may end on one side
 
 
 def jagged_error(change: Callable[[float], Floats], data: ScanData, at: float, step: float) -> float:
@@ -160,7 +159,7 @@ def jagged_error(change: Callable[[float], Floats], data: ScanData, at: float, s
     step : First step.
     """
     width = step
-    for _ in range(SCAN.standard_error.max_casts):
+    for _ in range(MAX_CASTS):
         up, down = change(at + step), change(at - step)
         curvature = -float((up + down).sum()) / step**2
         if curvature > 0:
@@ -172,23 +171,20 @@ def jagged_error(change: Callable[[float], Floats], data: ScanData, at: float, s
     return width
 
 
-def _fall(
-    log_p: Callable[[float], Floats], here: Floats, at: float, step: float, bounds: tuple[float, float]
-) -> float:
+def _fall(log_p: Callable[[float], Floats], here: Floats, at: float, step: float) -> float:
     """Return the distance over which the log-likelihood decreases by 1/2.
 
     Parameters
     ----------
     step : First step of the search, with the sign of the side.
-    bounds : [nats] Decreases from which a parabola gives the distance.
     """
     reach, sign = abs(step), np.sign(step)
-    h, low, high = SCAN.standard_error.first_step * reach, 0.0, np.inf
-    for _ in range(SCAN.standard_error.max_casts):
+    h, low, high = FIRST_STEP * reach, 0.0, np.inf
+    for _ in range(MAX_CASTS):
         fall = -float((log_p(at + sign * h) - here).sum())
-        if bounds[0] < fall < bounds[1]:
+        if FALL_WINDOW[0] < fall < FALL_WINDOW[1]:
             return h * float(np.sqrt(0.5 / fall))
-        low, high = (h, high) if fall < bounds[0] else (low, h)
+        low, high = (h, high) if fall < FALL_WINDOW[0] else (low, h)
         h = 4 * low if high == np.inf else float(np.sqrt(max(low, high / 30) * high))
     return h if np.isfinite(high) else np.inf
 
@@ -325,7 +321,7 @@ def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
     if data.arena.contains(spot)[0]:
         return False
     stands_out = values["r"] - float(data.barriers.distances(spot)[0])
-    return stands_out < SCAN.naming.map_sigmas * data.tolerances.map * required_ratio(fitted, amendment)
+    return stands_out < SCAN.nuisance.max_tolerances * data.tolerances.map * required_ratio(fitted, amendment)
 
 
 def _is_within_cell(data: ScanData, amendment: Amendment) -> bool:

@@ -17,10 +17,6 @@ from sensorgraph.robust import SIGMA_OF_MAD
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Tolerances
 
-MIN_SHARE = 0.01
-"""Minimum share of the reference variance within a sweep. A smaller share is below a tenth of the pose error,
-and is ignored."""
-
 
 def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> tuple[float, float]:
     """Estimate the standard deviation of the reference error within a sweep [m, rad].
@@ -34,7 +30,7 @@ def estimated_wobble(run: Run, sensor: RangeSensor, tolerances: Tolerances) -> t
     """
     poses = run.poses[np.isfinite(run.poses).all(axis=1)]
     share = share_within(references_in_sweep(run, sensor))
-    if share < MIN_SHARE:
+    if share <= 0.0:
         return 0.0, 0.0
     unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
     bent = np.abs(np.diff(unwrapped, n=2, axis=0))

@@ -26,10 +26,9 @@ import numpy as np
 from scipy.special import bdtrc
 
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
-from sensorgraph.diagnosis.scan.likelihood import e_step
-from sensorgraph.diagnosis.scan.normal_equations import boxed
+from sensorgraph.diagnosis.scan.normal_equations import System, boxed
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances, pose_prior
+from sensorgraph.diagnosis.scan.residuals import with_poses_of_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -41,9 +40,6 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.robot import Tolerances
 from sensorgraph.world.sensor_parts import sensor_of_rays
-
-Parts = list[tuple[Floats, Floats]]
-"""Normal equations (matrix, right) of each part."""
 
 
 def worth(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted) -> float:
@@ -87,12 +83,8 @@ def must_be_spread(amendment: Amendment) -> bool:
     """
     effect = amendment.effect
     has_more = any(v != 0.0 and effect.parameter(k).absent_at_zero for k, v in amendment.parameters.items())
-    return is_of_sensor(amendment) and (has_more or not effect.nuisances)
-
-
-def is_of_sensor(amendment: Amendment) -> bool:
-    """Return whether an effect belongs to the sensor or to some of its bearings, and not to a place of the site."""
-    return amendment.effect.place in (None, "sector")
+    is_of_sensor = effect.place in (None, "sector")
+    return is_of_sensor and (has_more or not effect.nuisances)
 
 
 def spread_evidence(data: ScanData, better: Fitted, plain: Fitted) -> float:
@@ -192,23 +184,19 @@ def is_within_baseline(fitted: Fitted, amendment: Amendment) -> bool:
 
 
 def cached_jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
-    """Return `jackknife`, computed once per fit."""
-    key = f"jackknife|{amendment.name}|{fitted.model!r}".encode()
-    return fitted.solver.data.kept(key, lambda: jackknife(fitted, amendment))
-
-
-def jackknife(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
-    """Return the standard errors of the parameters of a fitted effect, over parts of the run and of the rays."""
-    solver, names, place = fitted.solver, list[str](), 0
-    for index, other in enumerate(fitted.model):
-        smooth = list(other.steps)
+    """Return the jackknife standard errors of the parameters of a fitted effect, computed once per fit."""
+    place = fitted.solver.n_g
+    for other in fitted.model:
         if other.name == amendment.name:
-            names = smooth
-            place = solver.n_g + sum(len(a.steps) for a in fitted.model[:index])
-    chosen = np.arange(place, place + len(names))
-    tau = solver.scaled(fitted.state)
-    stderrs = larger_stderrs(equations_by_part(fitted), tau, solver.locked, chosen)
-    return dict(zip(names, map(float, stderrs), strict=True))
+            break
+        place += len(other.steps)
+    names, tau = list(other.steps), fitted.solver.scaled(fitted.state)
+
+    def errors() -> dict[str, float]:
+        found = jackknife(fitted, without_parts(fitted), tau, np.arange(place, place + len(names)))
+        return dict(zip(names, found.tolist(), strict=True))
+
+    return fitted.solver.data.kept(f"jackknife|{amendment.name}|{fitted.model!r}".encode(), errors)
 
 
 def single_effects(fitted: Fitted) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
@@ -218,67 +206,47 @@ def single_effects(fitted: Fitted) -> tuple[dict[str, dict[str, float]], dict[st
     -------
     Effect -> parameter -> size, and effect -> parameter -> jackknife standard error.
     """
-    solver, partitions = fitted.solver, equations_by_part(fitted)
+    solver, left = fitted.solver, without_parts(fitted)
     sizes, stderrs = {}, {}
     for effect in effects_with_nuisances():
         chosen = np.array(effect.nuisances)
         if solver.locked[chosen].any():
             continue
         tau = solver.scaled(fitted.state)
-        tau[chosen] = SCAN.site.free_width
-        size = solve_sum(partitions[0], tau, solver.locked)[chosen]
-        errors = larger_stderrs(partitions, tau, solver.locked, chosen)
-        sizes[effect.name] = dict(zip(effect.steps, map(float, size), strict=True))
-        stderrs[effect.name] = dict(zip(effect.steps, map(float, errors), strict=True))
+        tau[chosen] = np.inf
+        size = _solution(fitted, fitted.solution.system, tau)[chosen]
+        errors = jackknife(fitted, left, tau, chosen)
+        sizes[effect.name] = dict(zip(effect.steps, size.tolist(), strict=True))
+        stderrs[effect.name] = dict(zip(effect.steps, errors.tolist(), strict=True))
     return sizes, stderrs
 
 
-def equations_by_part(fitted: Fitted) -> list[Parts]:
-    """Return the normal equations of each part of the run in time, and of each part of its rays by bearing."""
-    solver: Solver = fitted.solver
-    weight = fitted.solution.responsibilities.weight
-    n_scans, n_rays = weight.shape
-    scan, ray = np.indices(weight.shape)
-    partitions = []
-    for part, count in ((scan, n_scans), (ray, n_rays)):
-        n_parts = min(SCAN.site.n_parts, count)
-        equations = []
-        for k in range(n_parts):
-            system = solver.assemble(
-                np.where(part * n_parts // count == k, weight, 0.0), fitted.state.pose_scale
-            )
-            equations.append((system.matrix, system.right))
-        partitions.append(equations)
-    return partitions
+def without_parts(fitted: Fitted) -> list[list[System]]:
+    """Return the normal equations without each part of the run in time, and without each part of its rays by bearing."""
+    weight, out = fitted.solution.responsibilities.weight, []
+    for part, count in zip(np.indices(weight.shape), weight.shape, strict=True):
+        n = min(SCAN.site.n_parts, count)
+        kept = (np.where(part * n // count == k, 0.0, weight) for k in range(n))
+        out.append([fitted.solver.assemble(some, fitted.state.pose_scale) for some in kept])
+    return out
 
 
-def solve_sum(parts: Parts, tau: Floats, locked: Bools) -> Floats:
-    """Solve the sum of normal equations under priors `tau` and their bounds; return the solution (k,)."""
-    matrices, rights = zip(*parts, strict=True)
+def jackknife(fitted: Fitted, left: Sequence[Sequence[System]], tau: Floats, chosen: Ints) -> Floats:
+    """Return the larger jackknife standard error of the `chosen` unknowns: over parts of the run, or of the rays.
+
+        stderr = sqrt((n - 1) var(values))     (Efron and Stein 1981)
+
+    The values are those of the n solutions that each leave out one part. A parameter of the whole sensor is the same at all
+    times and at all bearings, unlike the effect of one wall or one sector.
+    """
+    values = [np.array([_solution(fitted, system, tau)[chosen] for system in systems]) for systems in left]
+    return np.asarray(np.max([np.sqrt((len(one) - 1) * one.var(axis=0)) for one in values], axis=0))
+
+
+def _solution(fitted: Fitted, system: System, tau: Floats) -> Floats:
+    """Solve normal equations under priors `tau` and their bounds; return the unknowns (k,)."""
     bounds = SCAN.nuisance.max_tolerances * tau
-    return np.concatenate(boxed(np.sum(matrices, axis=0), np.sum(rights, axis=0), tau, bounds, locked))
-
-
-def larger_stderrs(partitions: Sequence[Parts], tau: Floats, locked: Bools, chosen: Ints) -> Floats:
-    """Return the larger standard error of the `chosen` unknowns: over parts of the run, or over parts of the rays.
-
-    A parameter of the whole sensor is the same at all times and at all bearings, unlike the effect of one
-    wall or one sector.
-    """
-    return np.asarray(np.max([jackknife_stderrs(parts, tau, locked, chosen) for parts in partitions], axis=0))
-
-
-def jackknife_stderrs(parts: Parts, tau: Floats, locked: Bools, chosen: Ints) -> Floats:
-    """Return the jackknife standard errors of the `chosen` unknowns (Efron and Stein 1981).
-
-        stderr = sqrt((n - 1) var(values))
-
-    The values are those of the n solutions that each leave out one part.
-    """
-    n = len(parts)
-    rest = [[p for k, p in enumerate(parts) if k != left] for left in range(n)]
-    values = np.array([solve_sum(some, tau, locked)[chosen] for some in rest])
-    return np.asarray(np.sqrt((n - 1) * values.var(axis=0)))
+    return boxed(system.matrix, system.right, tau, bounds, fitted.solver.locked).x
 
 
 def pose_tolerances(data: ScanData, null: Fitted) -> Tolerances:
@@ -290,6 +258,7 @@ def pose_tolerances(data: ScanData, null: Fitted) -> Tolerances:
     """
     nominal = data.tolerances
     solver, _ = solver_for(data, ())
+    state = replace(null.state, delta=data.pose_start, pose_scale=1.0)
     bearings = data.sensor.bearings
     half = np.floor((bearings - bearings[0]) / SCAN.site.sector).astype(np.intp) % 2 == 0
     factor = {"pose_xy": 1.0, "pose_yaw": 1.0}
@@ -300,26 +269,16 @@ def pose_tolerances(data: ScanData, null: Fitted) -> Tolerances:
         if key not in scores:
             tolerances = replace(nominal, **{k: v * getattr(nominal, k) for k, v in trial.items()})
             solver.data = replace(data, tolerances=tolerances)
-            scores[key] = sum(_predictive_log_likelihood(solver, null.state, rays) for rays in (half, ~half))
+            scores[key] = sum(
+                float(with_poses_of_rays(solver, state, rays)[0].log_p[:, ~rays].sum())
+                for rays in (half, ~half)
+            )
         return scores[key]
 
     for _ in range(2):
         for name in factor:
             factor[name] = max(SCAN.site.pose_factors, key=lambda f: score({**factor, name: f}))
     return replace(nominal, **{k: v * getattr(nominal, k) for k, v in factor.items()})
-
-
-def _predictive_log_likelihood(solver: Solver, state: State, rays: Bools) -> float:
-    """Fit the pose of each scan to some rays (n_rays,); return the log-likelihood [nats] of the other rays."""
-    data, expected, none = solver.data, solver.expected, np.zeros(0)
-    state = state.copy()
-    state.delta = data.pose_start
-    for _ in range(4):
-        responsibilities = e_step(data, expected, solver.shift(state, none), state.noise)
-        weight: Floats = np.where(rays, responsibilities.weight, 0.0)
-        state.delta = solver.assemble(weight, 1.0).poses_at(state.g)
-    log_p = e_step(data, expected, solver.shift(state, none), state.noise).log_p
-    return float(log_p[:, ~rays].sum())
 
 
 def shift_tolerances(data: ScanData, cuts: Sequence[int]) -> Tolerances:

@@ -124,7 +124,7 @@ def why_not_absorbed(view: FitResiduals, a: Amendment) -> tuple[str, tuple[str, 
     if explains == "short readings":
         with np.errstate(invalid="ignore"):
             odd &= view.z < np.where(view.aimed, view.mu, view.range_max)
-    if not explains or odd.sum() <= SCAN.goodness_of_fit.min_readings:
+    if not explains or odd.sum() <= SCAN.goodness_of_fit.min_rays / 2:
         return "", (), 0.0
     why = better_law(view, odd, PEOPLE if explains == "short readings" else STRAYS)
     return (*why, float(odd.mean()))

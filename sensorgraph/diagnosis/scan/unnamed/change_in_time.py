@@ -20,7 +20,7 @@ from scipy.special import fdtri
 from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.scan.consequence import CAUSES
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.normal_equations import System
+from sensorgraph.diagnosis.scan.normal_equations import ROUND_OFF, System
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.columns import (
@@ -41,8 +41,6 @@ from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.types import Floats, Ints
 
 NAME = "change_in_time"
-MIN_SCANS = 4
-"""Least number of scans in a part of the run."""
 TRIMMED = 3
 """Number of parts at the start and at the end of the run in which no change is searched for, 15 % (Andrews 1993, section 4)."""
 MIN_SHARE = 0.5
@@ -50,8 +48,6 @@ MIN_SHARE = 0.5
 MAX_WANDER = 2.7
 """Largest change of the mean of a drifting reference between two parts of a run, in standard deviations: first-order
 autoregressions of any memory stay within it in 99 % of the runs, at the worst time."""
-LEAST_INFORMATION = 1e-9
-"""Least share of a parameter's information that remains when all other unknowns are free, above round-off."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,7 +108,7 @@ def find(checked: Checked) -> list[Doubt]:
 def jumps(fitted: Fitted) -> list[JumpColumns]:
     """Return the likeliest jump of each parameter of the sensor; none if the run is too short."""
     solver, data = fitted.solver, fitted.solver.data
-    if data.n_scans < MIN_SCANS * N_PARTS:
+    if data.n_scans < 2 * N_PARTS:
         return []
     weight = fitted.solution.responsibilities.weight
     rows, parts = systems_of_parts(solver, weight, fitted.state.pose_scale)
@@ -150,7 +146,7 @@ def _likeliest(
         response = inverse @ column  # of all unknowns to a jump of 1
         score = np.sum(scores[part:], axis=0)[chosen]
         information = column[chosen] - column.T @ response
-        if np.linalg.eigvalsh(information)[0] <= LEAST_INFORMATION * float(np.trace(column[chosen])):
+        if np.linalg.eigvalsh(information)[0] <= ROUND_OFF * float(np.trace(column[chosen])):
             continue
         gain = 0.5 * float(score @ np.linalg.solve(information, score))
         if gain > best:

@@ -210,7 +210,7 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     state.delta = solver.data.pose_start
     state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
     start = np.concatenate([fitted.solution.p, np.zeros(k)])
-    solution = iterate(solver, state, start, bounds, rounds=SCAN.fit.column_rounds)
+    solution = iterate(solver, state, start, bounds, rounds=SCAN.fit.rounds)
     weight, scale = solution.responsibilities.weight, solution.state.pose_scale
     _, systems = systems_of_parts(solver, weight, scale)
     x = np.concatenate([solution.state.g, solution.p])

@@ -46,6 +46,10 @@ UNEVEN = (
     "a mirror or an encoder that is off centre, so that the rays are unevenly spaced",
     "bearings that were calibrated for another unit",
 )
+N_KNOTS = 12
+"""Number of bearings, or ranges, between which errors are interpolated."""
+MAX_UNEVEN = 0.1
+"""Maximum share of the squared errors that remains after a stretch of the field of view, if the stretch is reported."""
 MOST_RANGES = 0.99
 """Quantile of the ranges at which their profile ends."""
 
@@ -102,7 +106,7 @@ class ProfileColumns(Columns):
         """Return the relative widening of the field of view; 0 unless it accounts for nearly all errors (k,)."""
         line = np.polyfit(self.knots, errors, 1)
         left = errors - np.polyval(line, self.knots)
-        is_even = float((left**2).sum()) < SCAN.profiles.max_uneven_share * float((errors**2).sum())
+        is_even = float((left**2).sum()) < MAX_UNEVEN * float((errors**2).sum())
         return float(line[0]) if is_even else 0.0
 
     def _stretched(self, stretch: float) -> tuple[str, tuple[str, ...]]:
@@ -130,20 +134,18 @@ def find(checked: Checked) -> list[Doubt]:
 def profiles(fitted: Fitted) -> list[ProfileColumns]:
     """Return the profiles that can be tested; none if there are too few rays or scans."""
     data, solver = fitted.solver.data, fitted.solver
-    settings, bearings = SCAN.profiles, data.sensor.bearings
+    bearings = data.sensor.bearings
     if data.sensor.is_composite or measures_cones(data.sensor):
         return []
-    if data.n_rays < SCAN.intake.min_rays * settings.n_knots or data.n_scans < 2 * N_PARTS:
+    if data.n_rays < SCAN.intake.min_rays * N_KNOTS or data.n_scans < 2 * N_PARTS:
         return []
     used = used_readings(fitted)
     if not used.any():
         return []
     turned, biased = (solver.stack[:, one][:, None, :] for one in (Nuisance.MOUNT_YAW, Nuisance.BIAS))
-    angles = np.linspace(bearings.min(), bearings.max(), settings.n_knots)
+    angles = np.linspace(bearings.min(), bearings.max(), N_KNOTS)
     ranges = np.where(used, solver.expected.reading, 0.0)
-    lengths = np.linspace(
-        float(ranges[used].min()), float(np.quantile(ranges[used], MOST_RANGES)), settings.n_knots
-    )
+    lengths = np.linspace(float(ranges[used].min()), float(np.quantile(ranges[used], MOST_RANGES)), N_KNOTS)
     by_bearing, by_range = _hats(bearings, angles), _hats(np.minimum(ranges, lengths[-1]), lengths)
     return [
         ProfileColumns.of(BEARING_ERROR, angles, turned * by_bearing),

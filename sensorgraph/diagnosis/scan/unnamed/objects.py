@@ -87,7 +87,7 @@ def find_temporary(checked: Checked) -> list[Doubt]:
         better = np.where(off_edge, bare - view.log_p, 0.0)
         first, last, gain = best_run(better.sum(axis=1)[None])
         n_better = int((better[first[0] : last[0] + 1] > settings.clearly_better).sum())
-        if gain[0] > settings.min_absence_gain and n_better > settings.min_readings:
+        if gain[0] > settings.min_absence_gain and n_better > settings.min_rays / 2:
             begin, end = data.stamps[first[0]], data.stamps[last[0]]
             out.append(
                 Doubt(

@@ -53,9 +53,8 @@ ROUNDS = 40
 REST_SCALES = np.geomspace(0.25, 4.0, 7)
 """Multiples of the rest of the pose error that are tried, for each multiple of the part."""
 PART_SCALES = np.geomspace(0.25, 8.0, 16)
-MOST = 3.0
-"""[nats] Maximum contribution of one scan to a comparison of scales, because a few scans at wrong poses are
-not jitter."""
+MOST = SCAN.naming.rival_margin
+"""[nats] Maximum contribution of one scan to a comparison of scales, because a few scans at wrong poses are not jitter."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
