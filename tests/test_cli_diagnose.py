@@ -195,7 +195,9 @@ def test_an_arena_of_another_scale_is_said_first(
         r"The arena does not fit the run, because it is (\d\.\d\d) times as large as the place\.", first
     )
     assert found is not None
-    assert abs(float(found[1]) - scale) < 0.02 * scale  # the sensor reads 4 cm long
+    assert (
+        abs(float(found[1]) - scale) < 0.03 * scale
+    )  # the sensor reads 4 cm long, 2 % of the way to the walls
     assert json.loads((tmp_path / "out" / "report.json").read_text())["effects"] == []
 
 

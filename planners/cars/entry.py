@@ -75,7 +75,8 @@ def shortest_entry_arc(
         return EntryArc(
             primitives=primitives, pose=pose, length=0.0, bend=0, gear=1, state=state_at(primitives, pose)
         )
-    search = CoverageSearch(area, primitives, np.zeros((*area.inner.shape, 1), dtype=np.bool_), rate)
+    nothing = np.zeros((*area.inner.shape, int(primitives.heading_bin.max()) + 1), dtype=np.bool_)
+    search = CoverageSearch(area, primitives, nothing, rate)
     scratch = new_scratch(abs(primitives.safe_depth))
     for turn in turns.tolist():
         for mode, gear in enumerate(np.sign(primitives.speeds).astype(int).tolist()):

@@ -49,10 +49,12 @@ class ModelTable(NamedTuple):
 
 @inner_kernel
 def spline(degree: int, index: int, count: int, t: float) -> float:
-    """Evaluate B-spline `index` of `count` on uniform knots over [-1, 1]; 0 outside.
+    """Evaluate B-spline `index` of `count` on uniform knots over [-1, 1]; 0 outside, nan of nan.
 
     With knots at integers i, B_i,p(x) = ((x - i) B_i,p-1(x) + (i + p + 1 - x) B_i+1,p-1(x)) / p (de Boor 1978).
     """
+    if math.isnan(t):  # the whole part of nan is no index
+        return t
     x = (t + 1.0) / 2.0 * (count - degree) - index + degree  # knots at 0, 1, ..., degree + 1
     if t < -1.0 or t > 1.0 or x < 0.0 or x > degree + 1:
         return 0.0

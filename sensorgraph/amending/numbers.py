@@ -100,7 +100,7 @@ def scale(document: Document, values: Sequence[Value], factor: float, why: Why) 
 
 
 def _property_of(value: Value, old: float) -> Value | None:
-    """Return the property or argument that states a number; None if there is none, or no single one."""
+    """Return the property or argument that states a number; None unless there is exactly one."""
     part = PARTS.fullmatch(value.text.strip())
     if part is None:
         return None

@@ -141,7 +141,7 @@ def declared_encoding(data: bytes) -> str:
 
 
 def is_same(old: float, new: float) -> bool:
-    """Tell whether a new number is the old one but for round-off."""
+    """Tell whether two numbers are equal up to round-off."""
     return abs(new - old) <= ROUND_OFF * max(1.0, abs(old))
 
 

@@ -21,7 +21,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
 from sensorgraph.models import MODELS
-from sensorgraph.models.base import Model
+from sensorgraph.models.base import Model, check_options
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.reduction import MapBlocks
@@ -61,6 +61,8 @@ def build(
     """
     if model not in MODELS:
         raise SensorgraphError(f"model is {model!r}, expected one of {', '.join(MODELS)}")
+    if update is None:
+        check_options(MODELS[model], options, MODELS.values())
     names = [_name(run, i) for i, run in enumerate(runs)] if names is None else names
     sources = [WholeRun(head=run) if isinstance(run, Run) else run for run in runs]
     _check_alike([source.head for source in sources], names)

@@ -20,7 +20,7 @@ def progress(label: str, unit: str = "") -> Iterator[Progress]:
     """Yield `tick(done, total)`, which shows the progress of the work.
 
     The rate is measured from the first tick, so that preparation such as compiling does not affect the remaining time. A count
-    that falls begins another pass, with a rate of its own.
+    that falls begins another pass with its own rate.
     """
     with progress_with_status(label, unit) as (tick, _):
         yield tick

@@ -41,7 +41,7 @@ from sensorgraph.types import Bools, Floats, Ints
 SECTORS = 12
 """Number of parts of the field of view."""
 ENDS = 20
-"""Number of groups of rays about each end of a part, of which each gets a time of its own."""
+"""Number of groups of rays about each end of a part, of which each gets its own time."""
 MIN_EXPLAINED = 0.8
 """Share of the gain of all sectors that a part must explain."""
 FINE_SECTORS = 48

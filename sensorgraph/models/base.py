@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, Self, get_args
@@ -275,14 +275,16 @@ class Model(Protocol):
         ...
 
 
-def check_options(model: type[Model], options: Mapping[str, Any]) -> None:
-    """Check that a model knows all options.
+def check_options(model: type[Model], options: Mapping[str, Any], others: Iterable[type[Model]] = ()) -> None:
+    """Check that a model knows all options; `others` are models that may know them.
 
     Raises
     ------
     SensorgraphError : An option is unknown.
     """
     if unknown := sorted(options.keys() - model.OPTIONS.keys()):
+        knowing = [other.name for other in others if other.OPTIONS.keys() >= set(unknown)]
+        hint = f"; set `model` to {' or '.join(knowing)}, or remove the option" if knowing else ""
         raise SensorgraphError(
-            f"option {', '.join(unknown)} is not known to the model {model.name}; expected {', '.join(model.OPTIONS)}"
+            f"option {', '.join(unknown)} is not known to the model {model.name}; expected {', '.join(model.OPTIONS)}{hint}"
         )

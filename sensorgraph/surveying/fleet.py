@@ -61,7 +61,7 @@ def fleet(
     logs : Logs, folders with logs, or patterns.
     out : Folder for fleet.html, fleet.csv, fleet.parquet, fleet.json, fleet.rrd, one page for each log, and the kept
         results.
-    places : Sensorgraphs or arenas; each log is located in the one that fits. None: each log in a map of its own.
+    places : Sensorgraphs or arenas; each log is located in the one that fits. None: each log in its own map.
     robot : robot.yaml of all robots. None: the one kept in each log.
     pattern : Regular expression that finds the robot's name in the path of a log; its first group, if it has one.
     scheduler : Address of a Dask scheduler, whose workers read the same paths. None: a local cluster.

@@ -13,7 +13,7 @@ A step (dx, dy, dphi) of the odometry moves the pose by R(-a) ((1 + e_d) dx, (1 
 tracked heading contains a. A tracked pose is that of the robot T later: it is ahead by v T and omega T. It is moved by l, which
 the robot's turns show.
 
-Each stamp has an error of its own, so that a tracked pose of a moving robot is scattered along its motion. Such errors do not
+Each stamp has its own error, so that a tracked pose of a moving robot is scattered along its motion. Such errors do not
 add up over the way, unlike those of the odometry. How much those add up depends on robot and floor, so it is estimated: one
 filter for each of several noise levels, which the likelihoods of their innovations weigh (Magill 1965, "Optimal adaptive
 estimation of sampled stochastic processes").

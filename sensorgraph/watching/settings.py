@@ -114,7 +114,7 @@ class PlacePriors:
     pass_gap: float = 10.0
     """[s] Time out of sight after which another pass begins."""
     stay: float = 45.0
-    """[s] Mean time for which someone stands in one place. What stays in sight for longer counts as another pass."""
+    """[s] Mean time for which a person stays at one place. What stays in sight for longer counts as another pass."""
     least_cells: int = 2
     """Number of cells of the smallest change."""
     edge_rays: int = 2
