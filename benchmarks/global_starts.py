@@ -16,8 +16,7 @@ import numpy as np
 from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.graph_filter import MOST, N_RAYS, filtered, graph_with_memory
 from benchmarks.localize_in_map import Halves, halves
-from benchmarks.odometry_errors import Motion
-from benchmarks.particle_filter import driven, fitted_amcl
+from benchmarks.particle_filter import Motion, driven, fitted_amcl
 from planners.types import Floats
 from sensorgraph.exporting.amcl_filter import START_SPREAD, updates
 from sensorgraph.exporting.amcl_filter import filtered as follow_amcl
