@@ -173,8 +173,8 @@ class FitSettings:
     """Maximum number of casts of a fit without effects, each at the walls or poses of the previous one: in an
     occupancy-grid map, or with a wide reference tolerance."""
     rounds: int = 6
-    """Number of rounds of a fit at the same cast: of likely poses, of a held-out scan, of additional columns, and of the noise at a
-    step of a searched parameter."""
+    """Number of rounds of a fit at the same cast: of likely poses, of a held-out scan, and of the noise at a step of a searched
+    parameter."""
     settled_step: float = 0.2
     """Step below which a fit has converged, in standard errors; of a search, relative to its first step."""
     profile_tolerance: float = 0.02
