@@ -62,7 +62,7 @@ def test_compile_leaves_the_kernels_of_all_stages_in_the_cache(tmp_path: Path) -
         "visibility._e_step",
         "matching._match_readings",
         "prediction.predict_rays",
-        "noise_kernels.robust_misfit",
+        "whitening.robust_misfit",
     }
     assert kernels <= kept
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -143,7 +144,7 @@ def test_a_policy_from_good_runs_passes_them_and_fails_a_wrong_pose(
     assert limits.share_predicted["error"] < limits.share_predicted["warning"] < 1.0
     assert cli(["watch", room, str(folder / "good.mcap"), "--policy", str(policy)]) == 0
     assert cli(["watch", room, str(folder / "off.mcap"), "--policy", str(policy)]) == 2
-    assert "error at 21 s: pose off" in capsys.readouterr().out
+    assert re.search(r"error at 2[01] s: pose off", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
