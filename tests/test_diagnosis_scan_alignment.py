@@ -41,11 +41,11 @@ def test_a_map_in_the_wrong_place_is_said_with_where_it_belongs(hall: Arena, tur
     [
         (100.0, "times as large as the place (centimetres instead of metres?):"),
         (1000.0, "(millimetres instead of metres?):"),
-        (0.0254, "it is 0.0254 times as large as the place:"),
+        (0.0254, "it is 0.0253 times as large as the place:"),
         *further(
-            (3.0, "it is 2.98 times as large as the place:"),
+            (3.0, "it is 2.99 times as large as the place:"),
             (1 / 0.3048, "(feet instead of metres?):"),
-            (0.1, "it is 0.0995 times as large as the place:"),
+            (0.1, "it is 0.0996 times as large as the place:"),
         ),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
@@ -20,8 +21,8 @@ from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.self_fit import self_fit
 
 SETTINGS = SCAN.alignment
-SCALES = np.geomspace(0.5, 2.0, SETTINGS.n_scales)
-"""Scales of the map that are tried: relative to 1, and to the scale at which the map is as wide as the observed area."""
+SCALES = np.geomspace(*SETTINGS.scale_range, SETTINGS.n_scales)
+"""Scales of the map that are tried."""
 SCALE_STEP = float(SCALES[1] / SCALES[0])
 """Ratio of two successive scales."""
 UNITS = {
@@ -123,9 +124,15 @@ def align(data: ScanData, rng: np.random.Generator) -> Alignment:
     moved = Alignment(share=share, best_share=share)
     if not is_coarse and (share <= SETTINGS.poor_share or matching < SETTINGS.poor_share):
         moved = _moved(data, raster, points, share)
-    scaled = _scaled(data, points, share)
-    is_scaled = scaled.best_share > max(moved.best_share, SETTINGS.good_share) and not scaled.is_good
-    return replace(scaled if is_scaled else moved, matching=matching)
+    least = max(moved.best_share + SETTINGS.min_scale_gain, SETTINGS.good_share)
+    searches = (
+        (partial(_far_scaled, data),) if is_coarse else (partial(_scaled, raster), partial(_far_scaled, data))
+    )
+    for search in searches:
+        scaled = search(points, share)
+        if scaled.best_share > least and not scaled.is_good:
+            return replace(scaled, matching=matching)
+    return replace(moved, matching=matching)
 
 
 def misalignment(alignment: Alignment, run: Run, data: ScanData) -> Unknown | None:
@@ -211,8 +218,22 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
     )
 
 
-def _scaled(data: ScanData, points: Floats, share: float) -> Alignment:
-    """Find the scale of the map, with a shift, that puts most end points on walls, and verify it by casts.
+def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
+    """Find the scale of the measurements about the origin, with a shift, that puts most end points on walls."""
+    shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
+    if max(counts) < (share + SETTINGS.min_gain / 2) * len(points):
+        return Alignment(share=share, best_share=share)
+    found = [
+        _improved(raster, points, 0.0, float(SCALES[k]), shifts[k], by_scale=True)
+        for k in np.argsort(counts)[-SETTINGS.n_refined :]
+    ]
+    _, _, scale, shift = max(found, key=lambda one: one[0])
+    best_share = raster.share(scale * points + shift)
+    return Alignment(share=share, best_share=best_share, dx=float(shift[0]), dy=float(shift[1]), scale=scale)
+
+
+def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
+    """Find a scale of the map that is far from 1, as with another unit, and verify it by casts.
 
     A map is at least about as wide as the part that the run has seen. The map is shrunk, so that the wall distance stays
     the same. In a small map most rays may meet some wall by chance, but not at the right range.
@@ -220,26 +241,26 @@ def _scaled(data: ScanData, points: Floats, share: float) -> Alignment:
     seen = np.ptp(np.quantile(points, [0.02, 0.98], axis=0), axis=0)
     walls = data.arena.walls
     widest = float((np.ptp(walls.reshape(-1, 2), axis=0) / np.maximum(seen, SETTINGS.cell)).min())
-    low, high = (factor * widest for factor in SETTINGS.scale_range)
+    low, high = (factor * widest for factor in SETTINGS.far_range)
+    n = max(int(np.log(high / low) / np.log(SCALE_STEP)) + 1, 2)
+    least, most = (factor * widest for factor in SETTINGS.unit_range)
+    tried = [*np.geomspace(low, high, n), *(scale for scale in UNIT_SCALES if least < scale < most)]
     found = []
-    for scale in (*SCALES, *(widest * SCALES), *UNIT_SCALES):
-        if low < scale < high:
+    for scale in tried:
+        if not SETTINGS.scale_range[0] < scale < SETTINGS.scale_range[1]:
             raster = _Raster(walls / scale)
             shift, count = raster.correlated(points)
             found.append((count, float(scale), shift, raster))
     found.sort(key=lambda one: -one[0])
-    best, most = Alignment(share=share, best_share=share), 0.0
+    best = Alignment(share=share, best_share=share)
     for count, scale, shift, raster in found[: SETTINGS.n_refined]:
         if count < (share + SETTINGS.min_gain / 2) * len(points):
             break
-        score, _, rest, shift = _improved(raster, points, 0.0, 1.0, shift, by_scale=True)
+        _, _, rest, shift = _improved(raster, points, 0.0, 1.0, shift, by_scale=True)
         got = raster.share(rest * points + shift)
         mended = replace(data.arena, walls=(walls / scale - shift) / rest)
-        if (
-            min(got - share, score - most) > 0
-            and _matching_share(replace(data, arena=mended, memo={})) >= PARTLY_MATCHING
-        ):
-            most, (dx, dy) = score, (scale * shift).tolist()
+        if got > best.best_share and _matching_share(replace(data, arena=mended, memo={})) >= PARTLY_MATCHING:
+            dx, dy = (scale * shift).tolist()
             best = Alignment(share=share, best_share=got, dx=dx, dy=dy, scale=scale * rest)
     return best
 

@@ -90,6 +90,8 @@ class AlignmentSettings:
     """Share of returns at walls below which another scale of the map is searched for."""
     min_gain: float = 0.25
     """Minimum increase of the share of returns at walls in another alignment; half of it for a coarse one that is refined."""
+    min_scale_gain: float = 0.05
+    """Minimum increase of this share at another scale, over another alignment."""
     cell: float = 0.1
     """[m] Cell size of the raster of walls."""
     max_cells: int = 600
@@ -105,10 +107,15 @@ class AlignmentSettings:
     """Number of headings that are tried."""
     n_refined: int = 12
     """Number of best coarse headings or scales that are refined: four headings in a square room, and the neighbours of each."""
+    scale_range: tuple[float, float] = (0.5, 2.0)
+    """Range of map scales that are tried."""
     n_scales: int = 47
-    """Number of scales of the map that are tried between a half and twice a scale, 3 % apart."""
-    scale_range: tuple[float, float] = (1 / 30, 1.2)
-    """Limits of these scales, relative to that at which the map is as wide as the observed area."""
+    """Number of these scales, 3 % apart."""
+    far_range: tuple[float, float] = (0.5, 1.2)
+    """Scales outside `scale_range` that are tried, relative to the scale at which the map is as wide as the
+    observed area."""
+    unit_range: tuple[float, float] = (1 / 30, 1.2)
+    """The same for scales of another unit of length, for a run that observed a small part of the map."""
 
 
 @dataclass(frozen=True, kw_only=True)
