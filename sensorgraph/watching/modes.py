@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.localization.global_search import MIN_POINTS
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.matching import CORRELATION, Match, match
@@ -17,7 +17,7 @@ from sensorgraph.localization.wheels import slip_of
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
 from sensorgraph.watching.resemblance import resemblance_of
-from sensorgraph.watching.scan_input import ScanInput, apart
+from sensorgraph.watching.scan_input import ScanInput, apart, difference
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 
 PROBABLE = 0.9
@@ -52,8 +52,7 @@ class Mode:
     def merged(self, other: Mode) -> Mode:
         """Return the mode with another that has met it: mean and covariance are those of both, by their probabilities."""
         share = math.exp(other.total - float(np.logaddexp(self.total, other.total)))
-        off = other.pose - self.pose
-        off[2] = wrap(off[2])
+        off = difference(other.pose, self.pose)
         spread = (1.0 - share) * self.covariance + share * other.covariance
         return replace(
             self,
@@ -117,8 +116,7 @@ def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING
         np.linalg.inv(information) + np.diag(np.asarray(priors.map_floor) ** 2), dtype=np.float64
     )
     if not mode.is_matched:
-        off = found.pose - mode.pose
-        off[2] = wrap(off[2])
+        off = difference(found.pose, mode.pose)
         nats = 0.5 * float(np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mode.covariance)[1])
         mode = mode.plus(min(nats, 0.0) - 0.5 * float(off @ np.linalg.solve(mode.covariance, off)))
     return replace(mode, pose=found.pose, covariance=covariance, is_matched=True)
@@ -131,8 +129,7 @@ def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -
         return None
     prior = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     found = match(scan.points, scan.normals, place.surfaces, pose, prior_information=prior)
-    off = found.pose - pose
-    off[2] = wrap(off[2])
+    off = difference(found.pose, pose)
     is_near = np.hypot(off[0], off[1]) < s.max_offset and abs(off[2]) < s.max_turn_offset
     is_allowed = off @ np.linalg.solve(covariance, off) < 25.0
     if (is_near or is_allowed) and found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= s.agreement:

@@ -18,11 +18,11 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import expit, ndtr
 
-from logs.transforms import compose, wrap
+from logs.transforms import compose
 from sensorgraph.types import Floats
 from sensorgraph.watching.modes import Mode
 from sensorgraph.watching.observation import Observation
-from sensorgraph.watching.scan_input import apart
+from sensorgraph.watching.scan_input import apart, difference
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 from sensorgraph.watching.tracker import PoseTracker
 
@@ -196,8 +196,7 @@ def _p_near(mode: Mode, believed: Floats, moved: Floats, priors: TrackingPriors)
 
     The motion `moved` (3,) within the error of a stamp adds to the covariance.
     """
-    off = believed - mode.pose
-    off[2] = wrap(off[2])
+    off = difference(believed, mode.pose)
     way = float(np.hypot(off[0], off[1]))
     along = off[:2] / way if way > 0 else np.array([1.0, 0.0])
     deviation = math.sqrt(float(along @ mode.covariance[:2, :2] @ along + moved[:2] @ moved[:2]))
