@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import time
@@ -144,7 +143,7 @@ def test_a_policy_from_good_runs_passes_them_and_fails_a_wrong_pose(
     assert limits.share_predicted["error"] < limits.share_predicted["warning"] < 1.0
     assert cli(["watch", room, str(folder / "good.mcap"), "--policy", str(policy)]) == 0
     assert cli(["watch", room, str(folder / "off.mcap"), "--policy", str(policy)]) == 2
-    assert re.search(r"error at 2[01] s: pose off", capsys.readouterr().out)
+    assert "error at 20 s: pose off" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

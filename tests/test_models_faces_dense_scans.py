@@ -85,7 +85,7 @@ def test_a_partition_costs_no_more_than_any_other(chances: tuple[float, ...]) ->
     assert found == pytest.approx(least[-1], abs=1e-9)
 
 
-def testpooled_crossings_are_bounded_by_the_length_and_keep_the_sums() -> None:
+def test_pooled_crossings_are_bounded_by_the_length_and_keep_the_sums() -> None:
     few, many = (crossed(n, np.array([0.0, 0.998]), [0.4], 0.004) for n in (200_000, 800_000))
     short, long = (pooled(*one.at(0)) for one in (few, many))
     assert len(long[0]) < 1.1 * len(short[0]) < 0.05 * 200_000
@@ -96,7 +96,7 @@ def testpooled_crossings_are_bounded_by_the_length_and_keep_the_sums() -> None:
         assert weight @ mean == pytest.approx(many.weight @ each)
 
 
-def test_crossings_with_exact_places_are_notpooled() -> None:
+def test_crossings_with_exact_places_are_not_pooled() -> None:
     one = crossed(2_000, np.array([0.0, 1.0]), [0.4], 0.0)
     np.testing.assert_allclose(pooled(*one.at(0))[0], one.t, atol=1e-12)  # m, rounding
 
