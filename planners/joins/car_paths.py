@@ -2,8 +2,8 @@
 
 The quickest words to the nearest goals are tried first. If all are blocked, RRTConnect searches, and its path is
 shortened. (A roadmap is no alternative: OMPL's roadmaps are undirected, and a Dubins car's paths are directed.)
-OMPL runs in a separate process (`ompl_car_paths`) and returns the poses between which it drives shortest curves;
-their arcs are those of the shortest words. The car drives a chain of arcs, certified by exact distances.
+OMPL runs in a separate process (`ompl_car_paths`). It returns the poses between which it drives shortest curves.
+Their arcs are those of the shortest words. The car drives a chain of arcs, certified by exact distances.
 """
 
 from __future__ import annotations
