@@ -3,6 +3,7 @@
     python -m benchmarks.locate relations            # aces against relations verified by hand
     python -m benchmarks.locate sharpness            # three raw logs; published corrected poses beside ours
     python -m benchmarks.locate offices --seeds 20   # simulated offices with truth: error and coverage
+    python -m benchmarks.locate offices --map cells  # located in the office's occupancy grid, or in its drawn map
 
 Real logs are looked for in ../shared/data (--data).
 """
@@ -21,7 +22,12 @@ from benchmarks.arguments import parser_of, timed
 from benchmarks.places import arena_named
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from planners.maps.ros_map import of_grid
 from planners.types import Floats, Ints
+from sensorgraph.exporting.nav2 import map_of
+from sensorgraph.localization.in_map import locate_in_map
+from sensorgraph.localization.known_map import MapWalls
+from sensorgraph.localization.locate import walls_of_place
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.result import Localization
@@ -211,13 +217,30 @@ def read_relations(data: Path) -> Floats:
         return np.loadtxt(file)
 
 
-def compare_offices(seeds: int, first: int) -> None:
+def place_of_office(seed: int, kind: str) -> MapWalls:
+    """Return the walls of a random office as drawn, or of its occupancy grid of 5 cm."""
+    arena = arena_named(str(seed))
+    if kind == "cells":
+        grid = map_of(arena)
+        arena = of_grid(grid.data, grid.resolution, grid.origin, "office")
+    return walls_of_place(arena)
+
+
+def compare_offices(seeds: int, first: int, kind: str) -> None:
     places, inside, sizes, whole = [], [], [], []
     for seed in range(first, first + seeds):
         run, truth = office_run(seed)
         with timed() as took:
-            found = map_run(run)
-        errors, turn = aligned(found.poses, truth)
+            found = (
+                map_run(run)
+                if kind == "none"
+                else locate_in_map(run, **place_of_office(seed, kind)._asdict())
+            )
+        if kind == "none":
+            errors, turn = aligned(found.poses, truth)
+        else:
+            difference = found.poses - truth
+            errors, turn = np.column_stack([difference[:, :2], wrap(difference[:, 2])]), np.eye(3)
         place, covered, z = judged(errors, turn, found)
         places.append(place)
         inside.append(covered)
@@ -232,7 +255,7 @@ def compare_offices(seeds: int, first: int) -> None:
         )
     rms = 100 * np.array(places)
     print(
-        f"ATE rms: median {np.median(rms):.2f} cm, 95 % {np.quantile(rms, 0.95):.2f} cm, worst {rms.max():.2f} cm"
+        f"{'ATE' if kind == 'none' else 'error'} rms: median {np.median(rms):.2f} cm, 95 % {np.quantile(rms, 0.95):.2f} cm, worst {rms.max():.2f} cm"
     )
     print(f"within 2 s.e. (x, y, phi): {np.mean(inside, axis=0).round(3)}, all {np.mean(inside):.3f}")
 
@@ -251,13 +274,16 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--seeds", type=int, default=20, help="offices to drive through")
     parser.add_argument("--first", type=int, default=0, help="seed of the first office")
+    parser.add_argument(
+        "--map", choices=("none", "drawn", "cells"), default="none", help="known map of an office"
+    )
     options = parser.parse_args()
     if options.what == "relations":
         compare_relations(options.data)
     elif options.what == "sharpness":
         compare_sharpness(options.data)
     else:
-        compare_offices(options.seeds, options.first)
+        compare_offices(options.seeds, options.first, options.map)
 
 
 if __name__ == "__main__":

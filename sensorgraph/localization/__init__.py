@@ -28,8 +28,9 @@
     `map_run`: the whole pipeline for a run in a new place; its maps, and the status of its scans.
 `in_map`, `map_check`, `map_tracking`
     A run in a known place: first look, search, track, recover, smooth.
-`known_map`, `graph_walls`, `global_search`
-    A known map as lines, fields and ray tests; walls and observed space of a sensorgraph; global search for a view.
+`known_map`, `arena_walls`, `graph_walls`, `global_search`
+    A known map as lines, fields and ray tests; walls of an arena, and of a sensorgraph with its observed space; global search
+    for a view.
 `likelihood_field`, `branch_and_bound`
     Likelihood of a return at each cell of a map, and the best poses of a scan in it.
 `smoothing`

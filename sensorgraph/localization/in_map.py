@@ -37,6 +37,7 @@ def locate_in_map(
     *,
     seen: SeenSpace | None = None,
     normals: Floats | None = None,
+    straight: tuple[Floats, Floats] | None = None,
     name: str = "the map",
     progress: ProgressBars = no_progress,
 ) -> Localization:
@@ -44,9 +45,7 @@ def locate_in_map(
 
     Parameters
     ----------
-    walls : (n, 2, 2) [m, map] Both ends of each wall.
-    seen : Observed space of the map; None: everywhere.
-    normals : (n, 2) Unit normals from each wall to its observed side; None, or 0, 0: both sides match.
+    walls, seen, normals, straight : As in `MapWalls`.
     name : Name of the map in messages.
 
     Raises
@@ -55,7 +54,7 @@ def locate_in_map(
     """
     if run.n_scans == 0:
         raise SensorgraphError("the run has no scan; expected messages on /scan")
-    place = known_map(walls, seen, normals)
+    place = known_map(walls, seen, normals, straight)
     with progress("looking for the scans in the map", "drives"):
         fit = best_fit(looks(run), place)
         if fit < MAP_TRACKING.near_fit:

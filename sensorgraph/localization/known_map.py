@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,19 @@ EVERYWHERE = SeenSpace(cells=np.zeros((0, 0), dtype=np.uint8), origin=np.zeros(2
 """Observed space of a map that is complete everywhere."""
 
 
+class MapWalls(NamedTuple):
+    """Walls of a map, as `known_map` and `locate_in_map` take them."""
+
+    walls: Floats
+    """(n, 2, 2) [m, map] Both ends of each wall."""
+    seen: SeenSpace | None = None
+    """Observed space; None: everywhere."""
+    normals: Floats | None = None
+    """(n, 2) Unit normals from each wall to its observed side. None, or 0, 0: both sides match."""
+    straight: tuple[Floats, Floats] | None = None
+    """Walls (m, 2, 2) and normals (m, 2) of the same place that are more accurate but not complete, for the last match."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RayVerdicts:
     """Evaluation of the rays of a view at several poses."""
@@ -63,6 +77,9 @@ class KnownMap:
     """A place in which a robot is to be located."""
 
     surfaces: LineMap
+    """Surfaces for search and tracking."""
+    straight: LineMap
+    """Surfaces for the last match."""
     pyramid: MaxPyramid
     """Pyramid of a coarse field, for the global search."""
     field: LikelihoodField
@@ -119,15 +136,17 @@ class KnownMap:
         return RayVerdicts(likelihoods=out[:, 0], hidden=out[:, 1] / n, unseen=out[:, 2] / n)
 
 
-def known_map(walls: Floats, seen: SeenSpace | None = None, normals: Floats | None = None) -> KnownMap:
+def known_map(
+    walls: Floats,
+    seen: SeenSpace | None = None,
+    normals: Floats | None = None,
+    straight: tuple[Floats, Floats] | None = None,
+) -> KnownMap:
     """Prepare a known map.
 
     Parameters
     ----------
-    walls : (n, 2, 2) [m, map] Both ends of each wall.
-    seen : Observed space; None: everywhere.
-    normals : (n, 2) Unit normals from each wall to its observed side; returns from behind are not matched to
-        it. None, or 0, 0: both sides match.
+    walls, seen, normals, straight : As in `MapWalls`. Returns from behind a wall with a normal are not matched to it.
 
     Raises
     ------
@@ -140,8 +159,14 @@ def known_map(walls: Floats, seen: SeenSpace | None = None, normals: Floats | No
     coarse = field_of_points(points, resolution=2 * RESOLUTION, sigma=SEARCH_SIGMA)
     (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
     window = SearchWindow(x=(x0 + x1) / 2, y=(y0 + y1) / 2, half_x=(x1 - x0) / 2, half_y=(y1 - y0) / 2)
+    surfaces = line_map(points, None if normals is None else normals[owner], facing=0.0)
+    last = surfaces
+    if straight is not None:
+        points, owner = points_with_owners(straight[0], SPACING)
+        last = line_map(points, straight[1][owner], facing=0.0)
     return KnownMap(
-        surfaces=line_map(points, None if normals is None else normals[owner], facing=0.0),
+        surfaces=surfaces,
+        straight=last,
         pyramid=MaxPyramid(field=coarse),
         field=fine,
         window=window,

@@ -16,9 +16,10 @@ from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays, check_returns
+from sensorgraph.localization.arena_walls import free_sides, straight_walls
 from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
-from sensorgraph.localization.known_map import SeenSpace
+from sensorgraph.localization.known_map import MapWalls
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import with_spread_stamps
 from sensorgraph.localization.odometry_check import check_turns, with_checked_odometry
@@ -79,17 +80,20 @@ def locate(
     if place is None:
         found = map_run(run, progress=progress)
     else:
-        walls, normals, seen = place_of(place)
-        found = locate_in_map(run, walls, seen=seen, normals=normals, name=name, progress=progress)
+        found = locate_in_map(run, **walls_of_place(place)._asdict(), name=name, progress=progress)
     check_turns(found.wheels)
     return replace(found, t=given.stamps, notes=(*notes, *found.notes)) if notes else found
 
 
-def place_of(place: Arena | Sensorgraph) -> tuple[Floats, Floats | None, SeenSpace | None]:
-    """Return the walls, their normals and the observed space of a place, as `locate_in_map` expects them."""
+def walls_of_place(place: Arena | Sensorgraph) -> MapWalls:
+    """Return the walls of an arena or a sensorgraph with what is known of them."""
     if isinstance(place, Sensorgraph):
-        return *walls_of_graph(place), seen_by_graph(place)
-    return place.walls, None, None
+        walls, normals = walls_of_graph(place)
+        return MapWalls(walls, seen_by_graph(place), normals)
+    straight = straight_walls(
+        place
+    )  # its cells' borders, on both sides of a wall, are better for search and tracking
+    return MapWalls(place.walls, None, free_sides(place) if straight is None else None, straight)
 
 
 def has_reference(run: Run) -> bool:

@@ -311,7 +311,7 @@ def rematch(scans: ScanPoints, poses: Floats, place: KnownMap, progress: Progres
             continue
         prior = information_at(poses[k], np.asarray(REMATCH_DEVIATIONS))
         found = match(
-            scans.points[own], scans.normals[own], place.surfaces, poses[k], prior_information=prior
+            scans.points[own], scans.normals[own], place.straight, poses[k], prior_information=prior
         )
         if found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= MAP_TRACKING.agreement:
             places[k], information[k] = found.pose, found.information

@@ -17,7 +17,7 @@ from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.files import atomic_folder
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
-from sensorgraph.localization.locate import place_of
+from sensorgraph.localization.locate import walls_of_place
 from sensorgraph.surveying.causes import MEASURED, SHOWN_IN, CausedStep, Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, surveyed
 from sensorgraph.surveying.limited import TaskLimits
@@ -184,7 +184,7 @@ def _shared(
 
 def _walls_of(place: str) -> Floats:
     opened = Sensorgraph.load(Path(place)) if place.endswith(".sensorgraph") else load_arena(place)
-    return place_of(opened)[0]
+    return walls_of_place(opened).walls
 
 
 def _settings(shared: Mapping[str, Any]) -> dict[str, Any]:

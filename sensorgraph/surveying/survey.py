@@ -19,13 +19,12 @@ from sensorgraph.diagnosis.without_reference import with_described_mount
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena, robot_in
-from sensorgraph.localization.known_map import KnownMap, known_map
-from sensorgraph.localization.locate import locate, located_run, place_of
+from sensorgraph.localization.known_map import KnownMap, MapWalls, known_map
+from sensorgraph.localization.locate import locate, located_run, walls_of_place
 from sensorgraph.localization.map_check import best_fit, looks
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.settings import MAP_TRACKING
 from sensorgraph.surveying.building import changed_places
-from sensorgraph.types import Floats
 from sensorgraph.world.described import with_robot
 from sensorgraph.world.robot import Robot, load_robot
 
@@ -61,7 +60,7 @@ def survey(arguments: dict[str, Any]) -> dict[str, Any]:
     row |= {"place": "" if place is None else Path(place).name, "place_fit": fit, **_located(found)}
     row |= _calibration(run, located, machine)
     if place is not None:
-        changes = changed_places(located, _walls(place))
+        changes = changed_places(located, _walls(place).walls)
         row["changes"] = changes.to_dict()
         if changes.offset is not None:
             row["quantities"] |= {"range_offset": list(changes.offset)}
@@ -112,14 +111,13 @@ def _opened(place: str) -> Arena | Sensorgraph:
 
 
 @lru_cache(PLACES_AT_ONCE)
-def _walls(place: str) -> Floats:
-    return place_of(_opened(place))[0]
+def _walls(place: str) -> MapWalls:
+    return walls_of_place(_opened(place))
 
 
 @lru_cache(PLACES_AT_ONCE)
 def _known(place: str) -> KnownMap:
-    walls, normals, seen = place_of(_opened(place))
-    return known_map(walls, seen, normals)
+    return known_map(*_walls(place))
 
 
 def _best_place(run: Run, places: list[str]) -> tuple[str | None, float | None]:
