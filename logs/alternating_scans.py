@@ -30,7 +30,7 @@ def alternating_text(ranges: Floats) -> str:
     if share <= SHARE:
         return ""
     return (
-        f"{share:.0%} of the scans differ from the next one, and are like a later one: two scanners seem to share the topic and "
+        f"{100 * share:.0f} % of the scans differ from the next one, and are like a later one: two scanners seem to share the topic and "
         "the frame, or one laser alternates between two planes; give each of them another topic or frame_id"
     )
 

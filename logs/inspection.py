@@ -276,7 +276,9 @@ def _usable(run: Run) -> list[str]:
         shares += [(np.isneginf(run.ranges), "too close"), (np.isnan(run.ranges), "invalid")]
         if run.sensor.is_composite:
             shares[-1] = (shares[-1][0], "not measured at the time of the scan, or invalid")
-        out.append("rays: " + ", ".join(f"{mask.mean():.1%} {what}" for mask, what in shares if mask.any()))
+        out.append(
+            "rays: " + ", ".join(f"{100 * mask.mean():.1f} % {what}" for mask, what in shares if mask.any())
+        )
     if len(run.intensities):
         out.append(intensity_line(run))
     x, y, yaw = sensor.mount

@@ -21,5 +21,5 @@ def intensity_line(run: Run) -> str:
         return "intensities: none of the returns"
     low, middle, high = np.percentile(values, [0, 50, 100])
     share = len(values) / max(int(np.isfinite(run.ranges).sum()), 1)
-    part = "" if share == 1 else f" of {share:.1%} of the returns"
+    part = "" if share == 1 else f" of {100 * share:.1f} % of the returns"
     return f"intensities{part} from {low:g} to {high:g} (median {middle:g}), in the unit of the driver"

@@ -148,7 +148,7 @@ def frequent_nans(parts: Sequence[Floats]) -> str:
     if n <= max(CODE_SEARCH.frequent * total, CODE_SEARCH.min_count):
         return ""
     return (
-        f"{n} ranges ({n / total:.1%}) are nan and count as invalid readings "
+        f"{n} ranges ({100 * n / total:.1f} %) are nan and count as invalid readings "
         "(if nan encodes a missing return, set `no_return` nan)"
     )
 
@@ -260,4 +260,4 @@ def range_max_text(range_max: float, count: int, total: int) -> str:
 
 
 def _share(count: int, total: int) -> str:
-    return f"{count} rays ({count / max(total, 1):.1%}) are"
+    return f"{count} rays ({100 * count / max(total, 1):.1f} %) are"

@@ -37,7 +37,7 @@ def lower_limit(parts: Sequence[Floats], range_min: float, range_max: float) -> 
     readings = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in parts])
     below = float((readings < range_min).mean()) if len(readings) else 0.0
     if below > MOST_BELOW and range_min > LONGEST_BLIND:
-        return 0.0, f"{below:.0%} of the readings are below range_min {range_min:g} m: 0 was used"
+        return 0.0, f"{100 * below:.0f} % of the readings are below range_min {range_min:g} m: 0 was used"
     return range_min, ""
 
 

@@ -167,7 +167,7 @@ def _locate(run: Run, ground: Ground | None) -> tuple[Verdict, str]:
     if not finite.any():
         return "no", "no ray ever returns"
     if finite.mean() < MIN_RETURNS:
-        return "limited", f"only {finite.mean():.0%} of the rays return"
+        return "limited", f"only {100 * finite.mean():.0f} % of the rays return"
     if not len(run.odom_stamps):
         return "limited", "no odometry: motion along a corridor, or in the open, cannot be followed"
     if ground is not None and ground.distance < MIN_DISTANCE and ground.turn < MIN_STEP_TURN:
@@ -190,7 +190,7 @@ def _build(run: Run, locate: Verdict) -> tuple[Verdict, str]:
         return "no", "no scan has a pose"
     if run.n_scans < MIN_SCANS:
         return "no", f"{run.n_scans} scans, {MIN_SCANS} are needed"
-    text = f"poses{_from(run.meta, 'pose_source')} for {share:.0%} of the scans"
+    text = f"poses{_from(run.meta, 'pose_source')} for {100 * share:.0f} % of the scans"
     return ("yes" if share >= MIN_PAIRED else "limited"), text
 
 
@@ -249,7 +249,7 @@ def advice(run: Run, ground: Ground | None) -> str:
         return f"drive some metres: the robot turned by {ground.turn:.0f} rad, but drove only {ground.distance:.1f} m"
     rarer, name = min((ground.left, "left"), (ground.right, "right"))
     if rarer < MIN_ONE_SIDE * ground.turn:
-        return f"drive turns to the {name}: they are {rarer / ground.turn:.0%} of all, so that the errors of the two wheels cannot be distinguished"
+        return f"drive turns to the {name}: they are {100 * rarer / ground.turn:.0f} % of all, so that the errors of the two wheels cannot be distinguished"
     if not ground.revisits and not len(run.pose_stamps):
         return "return to places that were seen before: without a loop, drift stays in the map"
     if not ground.revisits and run.meta.get("pose_source", "").startswith("odometry"):

@@ -50,7 +50,7 @@ def test_the_model_file_holds_what_is_promised(
     assert Narmax.load(out).terms.names == tuple(found)
     assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     said = capsys.readouterr().out
-    assert "speed: 0.5% of the samples are unknown" in said
+    assert "speed: 0.5 % of the samples are unknown" in said
     assert "volts(k-1)^2" in said
     assert "the range of the training data" in said
 

@@ -241,7 +241,7 @@ def coasting(run: Run) -> Floats:
     [
         (ringing, "rings"),
         *further(
-            (partial(slow_to_gain_speed, most=(0.05, 0.2)), "the base accelerates at about 9%"),
+            (partial(slow_to_gain_speed, most=(0.05, 0.2)), "the base accelerates at about 9 %"),
             (
                 partial(ringing, hz=3.0, damping=0.3),
                 "rings",

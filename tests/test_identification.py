@@ -179,7 +179,7 @@ QUESTIONS = {
     "constant output": ({"y": np.ones(90)}, {}, "constant"),
     "too short": ({"y": np.arange(6.0)}, {"lags": 5}, "longest interval"),
     "nothing known": ({"u": np.full(90, np.nan)}, {}, "no known sample"),
-    "fewer samples than terms": ({"u": np.r_[np.full(70, np.nan), np.arange(20.0)]}, {}, "u 78% unknown"),
+    "fewer samples than terms": ({"u": np.r_[np.full(70, np.nan), np.arange(20.0)]}, {}, "u 78 % unknown"),
     "too large": ({}, {"lags": 40, "degree": 4}, "candidate terms"),
 }
 

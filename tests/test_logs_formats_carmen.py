@@ -335,7 +335,7 @@ def test_nan_among_the_ranges_is_an_invalid_reading_unless_it_means_no_return(
     run = logs.read(write(tmp_path / "a.log", lines), no_return=no_return)
     np.testing.assert_array_equal(run.ranges[2, :40], np.full(40, want))
     assert (
-        "40 ranges (3.7%) are nan" in run.meta["notes"]
+        "40 ranges (3.7 %) are nan" in run.meta["notes"]
         or "ranges of nan are missing returns: 40" in run.meta["notes"]
     )
 

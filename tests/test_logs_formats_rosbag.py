@@ -314,14 +314,14 @@ def test_split_and_compressed_folders_give_the_whole_run(
             10.0,
             None,
             np.inf,
-            "ranges of exactly range_max 10 m are missing returns: 80 rays (10.0%) are +inf",
+            "ranges of exactly range_max 10 m are missing returns: 80 rays (10.0 %) are +inf",
         ),
-        (0.0, None, np.inf, "ranges of 0 are missing returns: 80 rays (10.0%) are +inf"),
+        (0.0, None, np.inf, "ranges of 0 are missing returns: 80 rays (10.0 %) are +inf"),
         (10.0, "inf", 10.0, ""),
         (0.0, "range_max", np.nan, "80 ranges are exactly 0, an invalid reading: nan"),
         (0.0, "zero", np.inf, "ranges of 0 are missing returns"),
-        (np.nan, None, np.nan, "80 ranges (10.0%) are nan and count as invalid readings"),
-        (np.nan, "nan", np.inf, "ranges of nan are missing returns: 80 rays (10.0%) are +inf"),
+        (np.nan, None, np.nan, "80 ranges (10.0 %) are nan and count as invalid readings"),
+        (np.nan, "nan", np.inf, "ranges of nan are missing returns: 80 rays (10.0 %) are +inf"),
     ],
 )
 def test_a_missing_return_is_noticed_by_its_frequency_or_named(

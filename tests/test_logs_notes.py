@@ -21,7 +21,7 @@ MENDED = (
     "/scan: stamps go back 3 times, sorted",
     "range_min 10 is invalid, 0 was used",
     "no transform base_link -> laser: the mount of robot.yaml is used if given, otherwise 0",
-    "ranges of exactly range_max 8 m are missing returns: 80 rays (10.0%) are +inf (if this is wrong, set `no_return` inf)",
+    "ranges of exactly range_max 8 m are missing returns: 80 rays (10.0 %) are +inf (if this is wrong, set `no_return` inf)",
     "2 invalid lines left out, the first is line 9",
 )
 USUAL = (

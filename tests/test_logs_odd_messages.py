@@ -205,7 +205,7 @@ def test_a_range_min_above_most_readings_is_not_used(tmp_path: Path) -> None:
     ]
     run = read(tmp_path, bag)
     assert np.isfinite(run.ranges).all() and run.sensor.range_min == 0
-    assert "100% of the readings are below range_min 11.1 m: 0 was used" in assumptions_of(run)
+    assert "100 % of the readings are below range_min 11.1 m: 0 was used" in assumptions_of(run)
     near = read(tmp_path / "near", [scan(i / 10, [0.2, 0.05, 1, 2, 3]) for i in range(12)])
     assert np.isneginf(near.ranges[:, 1]).all() and not assumptions_of(near)[1:]
 

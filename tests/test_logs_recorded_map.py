@@ -54,7 +54,7 @@ def test_last_grid_of_map_is_the_arena(is_ros1: bool, yaw: float, tmp_path: Path
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     middle = np.array([-1, 2]) + turn @ (0.5 * np.array([6, 4]))
     np.testing.assert_allclose(np.array(arena.free.centroid.coords[0]), middle, atol=1e-9)
-    assert "33.3% free, 29.2% occupied, 37.5% unknown" in arena.notes[0]
+    assert "33.3 % free, 29.2 % occupied, 37.5 % unknown" in arena.notes[0]
 
 
 def test_attached_arena_comes_first(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_log_without_one_map_says_what_it_has(tmp_path: Path) -> None:
         ([scan(0, [1, 2])], r"no occupancy grid; it has /scan \(sensor_msgs"),
         ([grid(0, ROOM, topic="/a"), grid(0, ROOM, topic="/b")], r"several maps \(/a, /b\) and none in /map"),
         ([grid(0, ROOM, resolution=np.nan)], "has 96 cells of nan m at -1, 2; expected 12 x 8 cells"),
-        ([grid(0, np.full((2, 2), -1))], r"no cell is free \(0\.0% free, 0\.0% occupied, 100\.0% unknown\)"),
+        ([grid(0, np.full((2, 2), -1))], r"no cell is free \(0\.0 % free, 0\.0 % occupied, 100\.0 % unknown\)"),
     )):  # fmt: skip
         with pytest.raises(SensorgraphError, match=words):
             load_arena(write_bag2(tmp_path / str(k), bag))
@@ -91,5 +91,5 @@ def test_cells_between_the_thresholds_are_unknown() -> None:
 def test_commands_say_which_map_they_took(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_bag2(tmp_path / "bag", [grid(0, ROOM), *(scan(0.1 * i, [1, 2]) for i in range(3))])
     assert cli(["inspect", str(path), "--arena", str(path)]) == 0
-    assert "12 x 8 cells of 0.5 m, 33.3% free" in capsys.readouterr().out
+    assert "12 x 8 cells of 0.5 m, 33.3 % free" in capsys.readouterr().out
     assert cli(["locate", str(path), "--arena", str(path)]) == 2  # three scans

@@ -110,7 +110,7 @@ def test_verdicts_follow_from_the_signals_and_the_motion(run: Run, verdicts: str
             "drive loops with turns to both sides: the log has 10 m of nearly straight motion",
         ),
         (run_of(driven([(20, 0.0, 1.0)])), "drive some metres: the robot turned by 20 rad"),
-        (run_of(driven([(20, 0.5, 0.5)])), "drive turns to the right: they are 0% of all"),
+        (run_of(driven([(20, 0.5, 0.5)])), "drive turns to the right: they are 0 % of all"),
         (run_of(driven([(9, 0.5, 0.3), (9, 0.5, -0.3)])), "return to places"),
         (run_of(LOOPS, **NO_COMMANDS), "record the commands"),
         (run_of(LOOPS, **NONE), "record the odometry"),

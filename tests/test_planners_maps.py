@@ -217,7 +217,7 @@ def test_unknown_cells_of_a_trinary_map_are_never_free(
     arena = load(write_map(tmp_path, pixels, free_thresh=free_thresh, negate=negate))
     assert arena.free.area == pytest.approx(6 * 0.25)
     (note,) = arena.notes
-    assert "66.7% free" in note and "22.2% occupied" in note and "11.1% unknown" in note
+    assert "66.7 % free" in note and "22.2 % occupied" in note and "11.1 % unknown" in note
     assert ("is unknown although free_thresh is" in note) == (free_thresh > 0.2)
     grey = load(write_map(tmp_path, pixels, free_thresh=free_thresh, negate=negate, mode="scale"))
     assert grey.free.area == pytest.approx((7 if free_thresh > 0.2 else 6) * 0.25)
@@ -289,7 +289,7 @@ def test_free_space_of_a_random_map_is_its_free_cells(seed: int, tmp_path: Path)
         ({"mode": "grey"}, "expected one of trinary"),
         ({"free_thresh": 0.9}, "is above occupied_thresh"),
         ({"free_thresh": 0.001}, "no cell is free"),
-        ({"occupied_thresh": 1.0}, "no cell is occupied (66.7% free (grey 254), 0.0% occupied"),
+        ({"occupied_thresh": 1.0}, "no cell is occupied (66.7 % free (grey 254), 0.0 % occupied"),
     ],
 )
 def test_faults_of_map_server_maps_are_one_line(changes: dict[str, Any], says: str, tmp_path: Path) -> None:

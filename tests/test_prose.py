@@ -121,3 +121,14 @@ def test_no_sentence_is_too_long(area: str) -> None:
         if len(sentence.split()) > LONGEST and "$ " not in sentence and "sensorgraph " not in sentence
     ]
     assert not long, "\n".join(long)
+
+
+def test_a_percentage_has_a_space_before_its_sign() -> None:
+    """As in SI and on the pages; the format `:.0%` prints none."""
+    found = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in modules()
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if re.search(r":[.,\d]*%\}", line)
+    ]
+    assert not found, "\n".join(found)

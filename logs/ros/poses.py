@@ -222,7 +222,9 @@ def _of_one_publisher(name: str, odom: Track) -> tuple[Track, list[str]]:
     jumps = (moved > JUMP_LIMITS.speed * np.maximum(seconds, 1e-3)) & (moved > MIN_JUMP)
     if not len(jumps) or jumps.mean() < MIN_JUMPS:
         return odom, []
-    jumping = f"{name} jumps at {jumps.mean():.0%} of its messages, by up to {moved[jumps].max():.2f} m"
+    jumping = (
+        f"{name} jumps at {100 * jumps.mean():.0f} % of its messages, by up to {moved[jumps].max():.2f} m"
+    )
     times = (odom.stamps - odom.stamps[0]) / 1e9
     index = of_one_publisher(times, odom.values[:, :3])
     if index is None:

@@ -72,7 +72,7 @@ def of_grid(data: NDArray[np.int8], resolution: float, origin: Sequence[float], 
     """
     free, occupied = ((data >= 0) & (data <= GRID_FREE)).T, (data >= GRID_OCCUPIED).T
     shares = ", ".join(
-        f"{cells.mean():.1%} {what}"
+        f"{100 * cells.mean():.1f} % {what}"
         for what, cells in (("free", free), ("occupied", occupied), ("unknown", ~(free | occupied)))
     )
     for what, cells in (("free", free), ("occupied", occupied)):
@@ -143,7 +143,7 @@ def _summary(pixels: NDArray[np.uint8], occupied: Bools, free: Bools, facts: Map
         span = (
             f" (grey {values[0]}" + (f" to {values[-1]})" if len(values) > 1 else ")") if len(values) else ""
         )
-        parts.append(f"{cells.mean():.1%} {name}{span}")
+        parts.append(f"{100 * cells.mean():.1f} % {name}{span}")
     text = f"{', '.join(parts)}; {facts['mode']}"
     if facts["mode"] == "trinary":
         share = UNKNOWN_OCCUPANCY / 255

@@ -59,7 +59,10 @@ class SobolIndices:
     """Largest absolute correlation of two signals in the data; None if distributions were given."""
 
     def __str__(self) -> str:
-        lines = [f"{s}: {self.first[s]:.1%} alone, {self.total[s]:.1%} in total" for s in self.first]
+        lines = [
+            f"{s}: {100 * self.first[s]:.1f} % alone, {100 * self.total[s]:.1f} % in total"
+            for s in self.first
+        ]
         if self.dependence is not None and self.dependence > 0.3:
             lines.append(
                 f"signals have correlations up to {self.dependence:.2f}, but the indices assume independent signals"

@@ -181,7 +181,7 @@ class ProcessTermSelection:
             none, one = information(np.array([[1.0, 1.0 - share]]), cost, count)[0]
             if none < one:
                 self.notes.append(
-                    f"according to {self.criterion}, no term is significant; the term kept explains {share:.1%} of "
+                    f"according to {self.criterion}, no term is significant; the term kept explains {100 * share:.1f} % of "
                     f"{self.output}, which may be chance"
                 )
 

@@ -187,7 +187,7 @@ def summary_lines(found: IdentifiedSignal) -> list[str]:
     parts = {"half": "the second half", "block": "every second tenth", "none": "the training data"}
     lines = list(found.data.notes)
     lines += [
-        f"{name}: {share:.1%} of the samples are unknown and left out"
+        f"{name}: {100 * share:.1f} % of the samples are unknown and left out"
         for name, share in found.unknown.items()
         if share
     ]
@@ -260,7 +260,7 @@ def _extrapolation(outside: Extrapolation) -> list[str]:
     if outside.share < 1:
         there += f", {outside.rmse_inside:.4g} inside"
     return [
-        f"{outside.share:.1%} of the scored samples are outside the range of the training data (one step: {there})"
+        f"{100 * outside.share:.1f} % of the scored samples are outside the range of the training data (one step: {there})"
     ]
 
 

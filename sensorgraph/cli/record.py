@@ -230,7 +230,7 @@ def _unanswered(drive: ClosedLoopDrive) -> str:
         return ""
     return (
         f"; the graph does not answer {drive.n_unanswered:,} of "
-        f"{drive.n_rays:,} rays ({drive.n_unanswered / max(drive.n_rays, 1):.2%}); their readings are drawn from it anyway"
+        f"{drive.n_rays:,} rays ({100 * drive.n_unanswered / max(drive.n_rays, 1):.2f} %); their readings are drawn from it anyway"
     )
 
 

@@ -309,7 +309,7 @@ class _StatusLine:
         driven = max(status.t - (summary.first or 0.0), 1.0)
         rate = driven / max(now - self.began, 1e-9)
         load = (time.process_time() - self.cpu) / driven  # at the pace of the robot, also in a replay
-        pace = f"{rate_text(rate)} times real time, {load:.0%} of a core"
+        pace = f"{rate_text(rate)} times real time, {100 * load:.0f} % of a core"
         text = f"{status.t:.0f} s: {'; '.join(status.sentences())} ({pace})"
         if self.is_terminal:
             width = get_terminal_size().columns - 1

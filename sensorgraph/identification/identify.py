@@ -277,7 +277,7 @@ def _check(
         )
     usable = _rows(train, question)
     if usable < len(question.terms):
-        holes = ", ".join(f"{name} {share:.0%} unknown" for name, share in unknown.items() if share)
+        holes = ", ".join(f"{name} {100 * share:.0f} % unknown" for name, share in unknown.items() if share)
         raise SensorgraphError(
             f"{usable} complete samples are too few for {len(question.terms)} candidate terms"
             f"{f' ({holes})' if holes else ''}; lower `degree` or `lags`, or give more data"

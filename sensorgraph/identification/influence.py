@@ -267,7 +267,7 @@ def table(found: Influence) -> list[str]:
         "|---|" + "---|" * len(names),
     ]
     for j, (label, unit) in enumerate(QUANTITIES.values()):
-        known = "" if s.known[j] == 1 else f", {s.known[j]:.0%} of the rows"
+        known = "" if s.known[j] == 1 else f", {100 * s.known[j]:.0f} % of the rows"
         head = f"{label}: {s.mean[j]:.3g} ± {s.sigma[j]:.2g} {unit}".rstrip() + known
         if not np.isfinite(s.first[:, j]).any():
             value = (

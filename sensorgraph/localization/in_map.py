@@ -77,7 +77,7 @@ def locate_in_map(
     status = _status(run.stamps, matches.information, found)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
     if 2 * sum(word == "ok" for word in status) < run.n_scans:
-        text = f"most scans are not located: at best, a short drive fits {name} to {fit:.0%}, as parts of another building may"
+        text = f"most scans are not located: at best, a short drive fits {name} to {100 * fit:.0f} %, as parts of another building may"
         notes = (*notes, text)
     wheels = WheelSteps.of(odometry, steps, run.stamps).parameters(poses[steps.key_frames])
     contrast = contrast_notes(run, poses, odometry, status, wheels)
@@ -205,12 +205,12 @@ def _no_fit(run: Run, place: KnownMap, fit: float, name: str) -> str:
         )
     if fit >= GLOBAL_SEARCH.accept_fit:
         return (
-            f"the scans fit nowhere in {name} along a drive: a single view fits by {fit:.0%}, but the next ones do not "
+            f"the scans fit nowhere in {name} along a drive: a single view fits by {100 * fit:.0f} %, but the next ones do not "
             "continue there. The map is of another place, or of another scale; give the map of the recorded place in metres, "
             "or no map"
         )
     return (
         f"the scans fit nowhere in {name}: the best fit (share of returns on walls, minus twice the share through walls) is "
-        f"{max(fit, 0):.0%}, expected {GLOBAL_SEARCH.accept_fit:.0%}. The map is of another place, or of another scale; give the "
+        f"{100 * max(fit, 0):.0f} %, expected {100 * GLOBAL_SEARCH.accept_fit:.0f} %. The map is of another place, or of another scale; give the "
         "map of the recorded place in metres, or no map"
     )

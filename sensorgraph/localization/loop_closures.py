@@ -319,18 +319,18 @@ class LoopCloser:
         """Return the reason to reject a match, or an empty string."""
         s = CLOSURES
         if rivalry > 0:
-            return f"another place has {rivalry:.0%} of its score"
+            return f"another place has {100 * rivalry:.0f} % of its score"
         if found.overlap < s.overlap:
-            return f"only {found.overlap:.0%} of the points have a surface near them"
+            return f"only {100 * found.overlap:.0f} % of the points have a surface near them"
         if found.inliers < FRONT_END.min_inliers:
-            return f"only {found.inliers:.0%} of the points lie on surfaces"
+            return f"only {100 * found.inliers:.0f} % of the points lie on surfaces"
         if np.abs(found.pose[:2] - guess[:2]).max() > window + WINDOW:
             return "the match left the search window"
         if float(np.linalg.inv(information_of(found))[2, 2]) > TURN_WINDOW**2:
             return "the visible surfaces do not determine the heading"
         through = seen_through(older, newer, found.pose, s.margin)
         if through > s.see_through:
-            return f"rays would cross {through:.0%} of the visible surfaces"
+            return f"rays would cross {100 * through:.0f} % of the visible surfaces"
         return ""
 
     def _contradicts(self, a: int, b: int) -> bool:

@@ -211,6 +211,6 @@ def _note(stamps: Floats, thinned: Bools, dropped: Bools, scans: ScanPoints) -> 
     more = f" and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
     share = dropped[scans.first[start] : scans.first[stop]].mean()
     return (
-        f"from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}, {share:.0%} of the readings contradict the odometry and other "
+        f"from {stamps[start]:.1f} s to {stamps[stop - 1]:.1f} s{more}, {100 * share:.0f} % of the readings contradict the odometry and other "
         "readings confirm it: the laser sees what moves (people, a trailer, the ground), or its bearings were wrong; these readings were not used"
     )

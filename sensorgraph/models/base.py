@@ -133,7 +133,7 @@ class Prediction:
         """Summarise the prediction in one line."""
         n_poses, n_rays = self.ranges.shape
         share = float(self.answered.mean()) if self.answered.size else 0.0
-        return f"Prediction: {n_poses:,} pose{'s' if n_poses != 1 else ''} × {n_rays:,} rays, {share:.0%} answered"
+        return f"Prediction: {n_poses:,} pose{'s' if n_poses != 1 else ''} × {n_rays:,} rays, {100 * share:.0f} % answered"
 
     def pdf(self, z: ArrayLike) -> Floats:
         """Return the density [1/m] (n_poses, n_rays) of readings z [m], given a return; z is broadcast to that shape.

@@ -157,7 +157,7 @@ def _summary_of(name: str, memory: ResidualMemory) -> str:
     total = float(shares.sum())
     longer = float(shares[:, memory.lifetimes.searchsorted(10.0) :].sum())
     wider = float(shares[memory.sizes.searchsorted(0.4) :].sum())
-    return f"places keep {total:.0%} of {name}: {longer:.0%} for 10 s or more, {wider:.0%} over 0.4 m or more"
+    return f"places keep {100 * total:.0f} % of {name}: {100 * longer:.0f} % for 10 s or more, {100 * wider:.0f} % over 0.4 m or more"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -65,7 +65,7 @@ class WatchPolicy:
                 reasons.append(
                     (
                         level,
-                        f"place: {share:.0%} as the graph predicts, expected {self.share_predicted[level]:.0%}",
+                        f"place: {100 * share:.0f} % as the graph predicts, expected {100 * self.share_predicted[level]:.0f} %",
                     )
                 )
         if pose.status == "ambiguous":

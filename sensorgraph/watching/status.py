@@ -46,7 +46,11 @@ class WatchStatus:
         return f"pose {self.pose.sentence()}", f"place {self._place()}", f"robot {self._robot()}"
 
     def _place(self) -> str:
-        share = "" if self.share_predicted is None else f"{self.share_predicted:.0%} as the graph predicts"
+        share = (
+            ""
+            if self.share_predicted is None
+            else f"{100 * self.share_predicted:.0f} % as the graph predicts"
+        )
         new, gone = ([change for change in self.changes if change.kind == kind] for kind in ("new", "gone"))
         told = [
             f"{len(some)} {word} (the largest {max(some, key=lambda one: float(one.size.max())).size.max():.1f} m at "

@@ -74,7 +74,7 @@ class SelfFit:
                 "the scales of ranges and poses differ",
             ),
         }[self.name]
-        return f"the scans fit each other better {how} (they fill {self.fit:.0%} of the cells): {why}"
+        return f"the scans fit each other better {how} (they fill {100 * self.fit:.0f} % of the cells): {why}"
 
 
 def self_fit(run: Run) -> SelfFit | None:

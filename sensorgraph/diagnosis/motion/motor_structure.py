@@ -225,7 +225,7 @@ def _ramps(model: DriveModel, fit: Fit) -> list[StructureFamily]:
                 kind="ramp",
                 columns=model.rows.masked(np.stack(columns, axis=1)),
                 sigma=1.0,
-                statement=f"a slower change of speed: the base accelerates at about {share:.0%} of the limit in robot.yaml",
+                statement=f"a slower change of speed: the base accelerates at about {100 * share:.0f} % of the limit in robot.yaml",
                 choice_price=float(np.log(len(RAMPS))),
             )
         )
