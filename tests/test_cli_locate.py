@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import sensorgraph as sg
 from logs.run import pair
 from sensorgraph.cli import run as command
 from sensorgraph.localization.kept import located, needs_locating
+from sensorgraph.types import ProgressBars
 
 TRUTH = loop_poses(39, laps=0.43)
 """Poses of a scan each: fewer than the 40 key frames from which the times of the rays are estimated, for seconds."""
@@ -60,6 +62,29 @@ def test_what_was_taken_for_granted_of_a_log_is_said_beside_the_result(
     assert command(["locate", str(tmp_path / "raw.mcap"), *arguments]) == 0
     said = capsys.readouterr().err.splitlines()
     assert said.count("warning: raw.mcap: /scan: stamps go back 3 times, sorted") == 1
+
+
+@pytest.mark.parametrize(("is_checked", "n_lines"), [(True, 2), (False, 1)])
+def test_what_was_taken_for_granted_is_said_before_the_work_and_after_the_checks(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    is_checked: bool,
+    n_lines: int,
+) -> None:
+    run = logs.read(folder / "raw.mcap").take_scans(slice(0, 30))
+    note = "/scan: stamps go back 3 times, sorted"
+    logs.write(replace(run, meta={**run.meta, "source": "raw.mcap", "notes": note}), tmp_path / "raw.mcap")
+
+    def stop(*given: object, progress: ProgressBars, **options: object) -> None:
+        with progress("tracking", "scans") if is_checked else nullcontext():
+            raise logs.LogError("expected more scans")
+
+    monkeypatch.setattr("sensorgraph.localization.locate.locate", stop)
+    assert command(["locate", str(tmp_path / "raw.mcap")]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said == [f"warning: raw.mcap: {note}", "error: expected more scans"][-n_lines:]
 
 
 def test_locate_in_a_map_writes_run_csv_json_and_picture(

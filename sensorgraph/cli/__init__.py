@@ -28,7 +28,7 @@ from sensorgraph.cli.identify import identify
 from sensorgraph.cli.influence import influence
 from sensorgraph.cli.inspect import inspect
 from sensorgraph.cli.locate import locate
-from sensorgraph.cli.messages import with_flags
+from sensorgraph.cli.messages import reset_warnings, with_flags
 from sensorgraph.cli.narrow_help import is_narrow, set_narrow
 from sensorgraph.cli.plan import plan
 from sensorgraph.cli.predict import predict
@@ -104,6 +104,7 @@ def _root(
     ] = False,
 ) -> None:
     reset_silence()
+    reset_warnings()
     if allow_outside:
         os.environ["SENSORGRAPH_ALLOW_OUTSIDE"] = "1"
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sensorgraph.cli.messages import with_flags
+from sensorgraph.cli.messages import print_warnings
 from sensorgraph.cli.options import (
     Force,
     NoReturn,
@@ -136,7 +136,7 @@ def build(
     first = (str(runs[0]), loaded[0].head.sensor) if known is None else (str(update), known.sensor)
     for path, log in zip(runs, loaded, strict=True):
         print_ray_order(str(path), log.head.sensor.bearings, first[0], first[1].bearings)
-    printed = _print_before_fit(list(zip(runs, loaded, strict=True)))
+    _print_before_fit(list(zip(runs, loaded, strict=True)))
     with cluster(dask) if dask is not None else nullcontext(map) as map_blocks:
         graph = build_graph(
             loaded,
@@ -152,7 +152,7 @@ def build(
             **options,
         )
     graph.save(output)
-    _report(graph, split, printed)
+    _report(graph, split)
     typer.echo(f"wrote {output}: {graph.sensor.n_rays} rays, poses of {graph.pose_frame}")
 
 
@@ -196,11 +196,10 @@ def _open(
     return WholeRun(head=run)
 
 
-def _print_before_fit(logs: list[tuple[Path, LogStream]]) -> set[str]:
-    """Print the sweep times and the warnings of the logs before the fit; return the warnings."""
+def _print_before_fit(logs: list[tuple[Path, LogStream]]) -> None:
+    """Print the sweep times and the warnings of the logs before the fit."""
     from logs.run_warnings import warnings_of
 
-    printed = set()
     for path, log in logs:
         sensor = log.head.sensor
         if sensor.has_ray_delays:
@@ -210,15 +209,11 @@ def _print_before_fit(logs: list[tuple[Path, LogStream]]) -> set[str]:
             typer.echo(
                 f"{path.name}: the laser {sweeps} for {sensor.scan_duration:.3g} s; each ray gets its own pose"
             )
-        for text in warnings_of(log.head):
-            line = f"warning: {path.name}: {with_flags(text)}"
-            printed.add(line)
-            typer.echo(line, err=True)
-    return printed
+        print_warnings(f"{path.name}: {text}" for text in warnings_of(log.head))
 
 
-def _report(graph: Sensorgraph, split: str | None, printed: set[str]) -> None:
-    """Print how many scans of each run were used, and the fitted model; skip warnings that were printed before."""
+def _report(graph: Sensorgraph, split: str | None) -> None:
+    """Print how many scans of each run were used, and the fitted model."""
     for entry in graph.origin["inputs"]:
         dropped = "".join(f", {count:,} {why}" for why, count in entry["dropped"].items())
         held = f", {entry['held_out']:,} held out ({split})" if split else ""
@@ -226,10 +221,7 @@ def _report(graph: Sensorgraph, split: str | None, printed: set[str]) -> None:
             f"{entry['name']}: {entry['paired']:,} of {entry['n_scans']:,} scans paired with poses{dropped}{held}; "
             f"{entry['trained']:,} fitted"
         )
-        for text in entry.get("warnings", ()):
-            line = f"warning: {entry['name']}: {with_flags(text)}"
-            if line not in printed:
-                typer.echo(line, err=True)
+        print_warnings(f"{entry['name']}: {text}" for text in entry.get("warnings", ()))
     for label, text in graph.facts().items():
         typer.echo(f"{label}: {text}")
 

@@ -109,7 +109,7 @@ def diagnose(
 
       sensorgraph diagnose monday.log friday.log -o wheels
     """
-    from sensorgraph.cli.inputs import read_options, read_run, with_poses, with_robot
+    from sensorgraph.cli.inputs import noted, read_options, read_run, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
@@ -132,12 +132,12 @@ def diagnose(
 
     loaded = [posed(run, path) for run, path in zip(loaded, runs, strict=True)]
     _print_ray_orders(runs, loaded, machine)
-    known = _known(effects, walls)
+    known, bars = _known(effects, walls), noted(progress, *loaded)
     baseline = _commission([read_run(path, reading) for path in commissioning or ()], walls, machine, seed)
-    options: dict[str, Any] = {"known": known, "seed": seed, "force": force, "progress": progress}
+    options: dict[str, Any] = {"known": known, "seed": seed, "force": force, "progress": bars}
     if simulation is not None:
         options |= {"simulation": posed(read_run(simulation, reading), simulation), "name": str(simulation)}
-    driving = driving_of(loaded[0], machine, name=runs[0].name, progress=progress)
+    driving = driving_of(loaded[0], machine, name=runs[0].name, progress=bars)
     finding = (diagnose_run if simulation is None else diagnose_against_simulation)(
         loaded.pop(0),  # free the scans of a long log as soon as they are no longer needed
         arena=walls,
@@ -152,7 +152,7 @@ def diagnose(
         "simulation": simulation and simulation.name,
         "commissioning": baseline and baseline.to_dict(", ".join(path.name for path in commissioning or ())),
     }
-    with progress("reporting", "files") as tick:
+    with bars("reporting", "files") as tick:
         save_diagnosis(finding, out, walls, machine, name=runs[0].name, settings=settings, progress=tick)
     _print_finding(finding, known, out, why)
 
@@ -207,7 +207,7 @@ def _drive_alone(
     why: str | None,
 ) -> None:
     """Estimate wheels and mount from runs without an arena."""
-    from sensorgraph.cli.inputs import print_log_notes, with_poses, with_robot
+    from sensorgraph.cli.inputs import noted, print_log_notes, with_poses, with_robot
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
     from sensorgraph.diagnosis.report.files import save_driving
@@ -226,7 +226,7 @@ def _drive_alone(
         for name, run, path in zip(names, loaded, paths, strict=True)
     }
     base = None if machine is None else machine.stated_base
-    finding = diagnose_driving(runs, base=base, progress=progress)
+    finding = diagnose_driving(runs, base=base, progress=noted(progress, *loaded))
     save_driving(finding, out, {"runs": names, "robot": robot and robot.name}, log_notes(*loaded))
     print_log_notes(*loaded)
     for line in finding.lines:
@@ -332,7 +332,7 @@ def _commission(good: list[Run], walls: Arena, machine: Robot, seed: int) -> Sit
 
 def _print_finding(finding: Finding, known: Sequence[Amendment], out: Path, why: str | None) -> None:
     """Print the notes on the log, the result, and why a hypothesis was or was not named."""
-    from sensorgraph.cli.inputs import print_warnings
+    from sensorgraph.cli.messages import print_warnings
 
     print_warnings(finding.intake["log_notes"])
     typer.echo("\n".join(_lines(finding, known, out)))

@@ -102,7 +102,8 @@ def identify(
 
       sensorgraph identify motor.csv --output speed --inputs volts --auto -o motor.json
     """
-    from sensorgraph.cli.inputs import check_output, print_warnings, write_json
+    from sensorgraph.cli.inputs import check_output, write_json
+    from sensorgraph.cli.messages import print_warnings
     from sensorgraph.identification.identify import IdentificationSpec
     from sensorgraph.identification.identify import identify as identify_model
     from sensorgraph.show.figures.identified import identified_picture

@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from logs.files import atomic_file
-from sensorgraph.cli.messages import with_flags
+from sensorgraph.cli.messages import print_warnings
 from sensorgraph.errors import SensorgraphError
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from logs.run import Run
     from planners.arena import Arena
     from sensorgraph.graph import Sensorgraph
-    from sensorgraph.types import Floats
+    from sensorgraph.types import Floats, Progress, ProgressBars
     from sensorgraph.world.robot import Robot
 
 
@@ -182,7 +184,7 @@ def with_poses(
     typer.echo(
         f"{path.name}: {why}: locating {where} from scans and wheels (--poses log uses the poses in the log)"
     )
-    found = located(path, run, place, name=name, options=settings, progress=progress)
+    found = located(path, run, place, name=name, options=settings, progress=noted(progress, run))
     for line in found.lines:
         typer.echo(f"  {line}")
     if found.path is not None:
@@ -228,16 +230,23 @@ def print_ray_order(name: str, bearings: Floats, other_name: str, other: Floats)
 
 
 def print_log_notes(*runs: Run) -> None:
-    """Print the notes on assumed and repaired data of runs; call it with the result, so that an error stays one line."""
+    """Print the notes on assumed and repaired data of runs that this command has not printed yet."""
     from sensorgraph.intake import log_notes
 
     print_warnings(log_notes(*runs))
 
 
-def print_warnings(notes: Sequence[str]) -> None:
-    """Print each note as a warning on stderr."""
-    for note in notes:
-        typer.echo(f"warning: {with_flags(note)}", err=True)
+def noted(progress: ProgressBars, *runs: Run) -> ProgressBars:
+    """Return stages of which the first begins with the notes on runs: an error of a check before stays one line."""
+    from sensorgraph.intake import log_notes
+
+    notes = log_notes(*runs)  # without the runs, which may be large
+
+    def stage(label: str, unit: str) -> AbstractContextManager[Progress]:
+        print_warnings(notes)
+        return progress(label, unit)
+
+    return stage
 
 
 def write_json(path: Path, data: Any) -> None:

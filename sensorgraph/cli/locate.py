@@ -82,6 +82,7 @@ def locate(
     from logs.files import atomic_file
     from sensorgraph.cli.inputs import (
         check_output,
+        noted,
         print_log_notes,
         read_options,
         read_run,
@@ -97,7 +98,7 @@ def locate(
             check_output(path, run, suffix=suffix)
     place = None if arena is None else _place(arena)
     log = read_run(run, read_options(topic, no_return, robot, heights), robot)
-    found = locate_run(log, place, name=arena or "the map", progress=progress)
+    found = locate_run(log, place, name=arena or "the map", progress=noted(progress, log))
     print_log_notes(log)
     for line in summary_lines(found):
         typer.echo(line)

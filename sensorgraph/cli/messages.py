@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+
+import typer
 
 FLAGS = {
     "bearing": "--bearing",
@@ -39,3 +42,22 @@ FLAGS = {
 def with_flags(message: str) -> str:
     """Replace each parameter in backticks by its option."""
     return re.sub(r"`(\w+)`", lambda match: FLAGS.get(match[1], match[0]), message)
+
+
+class _Printed:
+    """Warnings that the running command has printed."""
+
+    warnings: frozenset[str] = frozenset()
+
+
+def reset_warnings() -> None:
+    """Forget the printed warnings at the start of a command."""
+    _Printed.warnings = frozenset()
+
+
+def print_warnings(notes: Iterable[str]) -> None:
+    """Print each note as a warning on stderr, once in a command."""
+    for line in dict.fromkeys(f"warning: {with_flags(note)}" for note in notes):
+        if line not in _Printed.warnings:
+            _Printed.warnings |= {line}
+            typer.echo(line, err=True)

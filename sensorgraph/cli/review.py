@@ -64,6 +64,7 @@ def review(
     from sensorgraph.cli.inputs import (
         check_output,
         check_poses,
+        noted,
         print_log_notes,
         read_options,
         read_run,
@@ -96,7 +97,7 @@ def review(
         ray=chosen_ray(log.sensor, ray, bearing),
         name=run.name,
         force=force,
-        progress=progress,
+        progress=noted(progress, log),
     )
     print_log_notes(log)
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")

@@ -82,7 +82,7 @@ def watch(
 
       sensorgraph watch office.sensorgraph --live --router 192.168.0.5 -o watch.mcap
     """
-    from sensorgraph.cli.inputs import check_output, print_log_notes, read_options
+    from sensorgraph.cli.inputs import check_output, read_options
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.watching.policy import LEVELS, WatchPolicy, load_policy
@@ -110,7 +110,6 @@ def watch(
         assert runs is not None
         run = _read(runs[0], reading, robot)
         level = output.take(_statuses(model, run, limits), run.epoch_ns, runs[0].name)
-        print_log_notes(run)
         output.print()
     if output.is_terminated:
         raise typer.Exit(TERMINATED)
@@ -158,9 +157,13 @@ def _read(path: Path, reading: dict[str, Any], robot: Path | None) -> Run:
 
 
 def _statuses(model: Any, run: Run, limits: WatchPolicy) -> Iterator[WatchStatus]:
+    """Yield the statements; the notes on the log are printed before the first."""
+    from sensorgraph.cli.inputs import print_log_notes
     from sensorgraph.watching.watcher import watch_run
 
-    return watch_run(model, run, baseline=limits.baseline)
+    for status in watch_run(model, run, baseline=limits.baseline):
+        print_log_notes(run)
+        yield status
 
 
 class _Output:
