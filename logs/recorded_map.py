@@ -19,6 +19,8 @@ from logs.transforms import to_planar
 
 ARENA = "arena.geojson"
 """Attachment with the arena of a log."""
+ROBOT = "robot.yaml"
+"""Attachment with the robot of a log."""
 MAP_TOPIC, COSTMAP = "/map", "costmap"
 
 
@@ -32,6 +34,8 @@ class RecordedMap:
     """The occupancy grid; None if the log has an attached arena."""
     source: str
     """The attachment or topic that holds the map, with the number of its messages."""
+    robot: bytes | None = None
+    """The attached robot.yaml; None if the log has none."""
 
 
 def read_map(path: Path | str) -> RecordedMap:
@@ -49,8 +53,11 @@ def read_map(path: Path | str) -> RecordedMap:
             f"{path} is a log without topics; expected a log with an occupancy grid in {MAP_TOPIC}"
         )
     recording = LOADERS[kind](path, None)
+    robot = recording.attachments.get(ROBOT)
     if ARENA in recording.attachments:
-        return RecordedMap(arena=recording.attachments[ARENA], grid=None, source=f"the attachment {ARENA}")
+        return RecordedMap(
+            arena=recording.attachments[ARENA], grid=None, source=f"the attachment {ARENA}", robot=robot
+        )
     topic = _grid_topic(recording, path)
     last = deque(recording.again(topic.name) if recording.again is not None else (), maxlen=1)
     if not last:
@@ -78,7 +85,7 @@ def read_map(path: Path | str) -> RecordedMap:
         origin=origin,
     )
     times = "" if topic.n_messages == 1 else f", the last of {topic.n_messages} messages"
-    return RecordedMap(arena=None, grid=grid, source=f"{topic.name}{times}")
+    return RecordedMap(arena=None, grid=grid, source=f"{topic.name}{times}", robot=robot)
 
 
 def _grid_topic(recording: Recording, path: Path) -> Topic:

@@ -357,10 +357,11 @@ def export(
 
     Parameters
     ----------
-    source : Arena, sensorgraph of faces, or the file or name of one.
+    source : Arena, sensorgraph of faces, or the file or name of one; or a log with a map.
     target : `mujoco`, `irsim`, `gazebo` or `nav2`.
     folder : Folder to write. After an error, nothing is written.
-    robot : Robot to export. None: that of the run, else the shipped robot with the laser of the sensorgraph.
+    robot : Robot to export. None: that of the run, else the one kept in the log of `source`, else the shipped robot
+        with the laser of the sensorgraph.
     effects : Effects to build in, as far as the target supports them, or an effects.yaml.
     run : Run with poses from which the AMCL parameters are estimated (`nav2`).
     name : Name of the world.
@@ -369,9 +370,9 @@ def export(
     ------
     SensorgraphError : The target is unknown, the world has no walls, or the robot fits nowhere in it.
     """
-    walls, graph = exported_arena(source)
+    walls, graph, kept = exported_arena(source)
     log = None if run is None else _run(run)
-    machine = exported_robot(robot, log, graph)
+    machine = exported_robot(robot, log, graph, kept=kept)
     known = effects_file.read(Path(effects), walls) if isinstance(effects, str | Path) else tuple(effects)
     effects_file.check_places(known, walls)
     world = ExportedWorld.of(walls, machine, known, name=name)

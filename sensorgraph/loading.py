@@ -15,7 +15,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.formats import format_of
-from logs.recorded_map import read_map
+from logs.recorded_map import RecordedMap, read_map
 from logs.run import Run
 from planners import maps
 from planners.arena import Arena
@@ -62,7 +62,7 @@ def load_arena(source: str | Path) -> Arena:
         )
     if name.endswith(".sensorgraph"):
         return arena_of(Sensorgraph.load(Path(name)))
-    return _arena_of_log(Path(name)) if _is_log(Path(name)) else maps.load(Path(name))
+    return _arena_of_log(Path(name), read_map(Path(name))) if _is_log(Path(name)) else maps.load(Path(name))
 
 
 def _is_log(path: Path) -> bool:
@@ -75,9 +75,8 @@ def _is_log(path: Path) -> bool:
         return False
 
 
-def _arena_of_log(path: Path) -> Arena:
+def _arena_of_log(path: Path, found: RecordedMap) -> Arena:
     """Return the map that was recorded in a log."""
-    found = read_map(path)
     logger.warning("%s: the arena is %s", path, found.source)
     if found.arena is not None:
         return geojson.loads(found.arena.decode(errors="replace"))
@@ -164,10 +163,12 @@ def arena_in(run: Run) -> Arena | None:
 
 def robot_in(run: Run) -> Robot | None:
     """Return the robot kept in a run as an attachment; None if it has no such attachment."""
-    text = run.attachments.get("robot.yaml")
-    if text is None:
-        return None
-    return parse_robot(text.decode(errors="replace"), name="robot.yaml in the run")
+    return _robot_of(run.attachments.get("robot.yaml"), "the run")
+
+
+def _robot_of(text: bytes | None, name: str) -> Robot | None:
+    """Return the robot of an attachment."""
+    return None if text is None else parse_robot(text.decode(errors="replace"), name=f"robot.yaml in {name}")
 
 
 def robot_for(run: Run, source: Robot | str | Path | None = None) -> Robot:
@@ -188,19 +189,33 @@ def robot_for(run: Run, source: Robot | str | Path | None = None) -> Robot:
     return completed(robot, run.sensor)
 
 
-def exported_arena(source: Arena | Sensorgraph | Path | str) -> tuple[Arena, Sensorgraph | None]:
-    """Return the arena of an export, and the sensorgraph that it is from; None if it is from none."""
+def exported_arena(
+    source: Arena | Sensorgraph | Path | str,
+) -> tuple[Arena, Sensorgraph | None, Robot | None]:
+    """Return the arena of an export, the sensorgraph that it is from, and the robot that is kept with it in a log."""
     if isinstance(source, Arena):
-        return source, None
+        return source, None, None
     if isinstance(source, Sensorgraph):
-        return arena_of(source), source
-    if Path(source).exists() and str(source).endswith(".sensorgraph"):
-        return exported_arena(Sensorgraph.load(Path(source)))
-    return load_arena(source), None
+        return arena_of(source), source, None
+    path = Path(source)
+    if path.exists() and path.suffix == ".sensorgraph":
+        return exported_arena(Sensorgraph.load(path))
+    if path.exists() and _is_log(path):
+        found = read_map(path)
+        return _arena_of_log(path, found), None, _robot_of(found.robot, str(path))
+    return load_arena(source), None, None
 
 
-def exported_robot(source: Robot | str | Path | None, run: Run | None, graph: Sensorgraph | None) -> Robot:
-    """Return the robot of an export: the given one, else that of a run, else the shipped one with the laser of a graph.
+def exported_robot(
+    source: Robot | str | Path | None,
+    run: Run | None,
+    graph: Sensorgraph | None,
+    *,
+    kept: Robot | None = None,
+) -> Robot:
+    """Return the robot of an export: the given one, else that of a run, else the kept or the shipped one.
+
+    The shipped robot gets the laser of a graph.
 
     Raises
     ------
@@ -210,6 +225,8 @@ def exported_robot(source: Robot | str | Path | None, run: Run | None, graph: Se
         return robot_for(run, source)
     if isinstance(source, Robot):
         return source
+    if source is None and kept is not None:
+        return kept
     robot = load_robot(source)
     return robot if source is not None or graph is None else with_laser_of(graph, robot)
 

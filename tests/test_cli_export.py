@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from logs_samples import some_run
 
+import logs
+from planners.maps import geojson
 from sensorgraph.cli import run as cli
 from sensorgraph.cli.twin import run_script
 from sensorgraph.exporting.export import TARGETS
+from sensorgraph.loading import load_arena
+from sensorgraph.world.robot import load_robot
 
 BROKEN = "broken.yaml"
+ROBOT = "{name: mover, footprint_radius: 0.31}"
 
 
 def test_a_script_says_what_it_lacks_before_it_drives(
@@ -58,6 +65,21 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
     assert len(said) == 1
     assert words in said[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_the_robot_kept_in_a_log_is_exported_with_its_map(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = {"arena.geojson": geojson.dumps(load_arena("square")).encode(), "robot.yaml": ROBOT.encode()}
+    log = tmp_path / "run.mcap"
+    logs.write(replace(some_run(), attachments=kept), log)
+    for source, text in (
+        (str(log), f"mover is the robot kept in {log}; --robot gives another\n"),
+        ("square", "radix is the shipped robot; --robot gives another\n"),
+    ):
+        assert cli(["export", source, "--to", "irsim", "-o", str(tmp_path / text[:5])]) == 0
+        assert text in capsys.readouterr().out
+    assert load_robot(tmp_path / "mover" / "robot.yaml").footprint_radius == 0.31
 
 
 def test_an_output_that_is_a_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

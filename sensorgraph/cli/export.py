@@ -10,13 +10,14 @@ import typer
 if TYPE_CHECKING:
     from logs.run import Run
     from planners.arena import Arena
+    from sensorgraph.world.robot import Robot
 
 
 ExportSource = Annotated[
     str,
     typer.Argument(
         metavar="GRAPH|ARENA",
-        help="Sensorgraph (model faces), GeoJSON file, map_server yaml, or a shipped arena: square, office.",
+        help="Sensorgraph (model faces), GeoJSON file, map_server yaml, log with a map, or a shipped arena: square, office.",
     ),
 ]
 ExportTarget = Annotated[
@@ -33,7 +34,8 @@ ExportRobot = Annotated[
     Path | None,
     typer.Option(
         "--robot",
-        help="robot.yaml; default: the robot of --run, else the shipped one with the laser of the sensorgraph.",
+        help="robot.yaml; default: the robot kept in --run or in the log with the map, else the shipped one with the laser of the "
+        "sensorgraph.",
     ),
 ]
 ExportRun = Annotated[
@@ -80,7 +82,7 @@ def export(
     from sensorgraph.exporting.export import export as write_world
     from sensorgraph.exporting.nav2 import check_zones
     from sensorgraph.exporting.world import ExportedWorld
-    from sensorgraph.loading import exported_arena, exported_robot
+    from sensorgraph.loading import exported_arena, exported_robot, robot_in
 
     check_target(target)
     check_folder(out)
@@ -88,22 +90,31 @@ def export(
         raise SensorgraphError(f"--run and --no-go require --to nav2; leave them out for {target}")
     if wall_height is not None and not 0 < wall_height < 100:
         raise SensorgraphError(f"--wall-height is {wall_height:g} m, expected a height between 0 and 100 m")
-    arena, graph = exported_arena(source)
+    arena, graph, kept = exported_arena(source)
     amendments = () if effects is None else read_effects(effects, arena)
     forbidden = [zone for given in no_go or [] for zone in zones(given)]
     check_zones(forbidden, arena.bounds)
     driven = None if run is None else _located(run, arena, source)
-    machine = exported_robot(robot, driven, graph)
+    machine = exported_robot(robot, driven, graph, kept=kept)
     world = ExportedWorld.of(arena, machine, amendments, name=Path(source).stem, wall_height=wall_height)
     left_out = write_world(world, target, out, no_go=forbidden, run=driven)
     typer.echo(
         f"{len(world.boxes)} walls, {len(world.discs)} round obstacles, robot {machine.name} with "
         f"{machine.sensor.n_rays} rays, {len(amendments)} effects"
     )
+    if robot is None:
+        typer.echo(_whose(machine, kept if driven is None else robot_in(driven), str(run or source)))
     print_log_notes(*([] if driven is None else [driven]))
     for line in left_out:
         typer.echo(f"not in the files of the world: {line}")
     typer.echo(f"wrote {out}; start with {out / 'README.md'}")
+
+
+def _whose(machine: Robot, kept: Robot | None, log: str) -> str:
+    """Return one line about the robot of an export for which none was given."""
+    if kept is not None:
+        return f"{machine.name} is the robot kept in {log}; --robot gives another"
+    return f"{machine.name} is the shipped robot; --robot gives another"
 
 
 def _located(path: Path, arena: Arena, place: str) -> Run:
