@@ -87,6 +87,18 @@ def test_what_was_taken_for_granted_is_said_before_the_work_and_after_the_checks
     assert said == [f"warning: raw.mcap: {note}", "error: expected more scans"][-n_lines:]
 
 
+def test_runs_that_would_get_separate_maps_are_refused_before_they_are_located(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("monday.mcap", "tuesday.mcap"):
+        (tmp_path / name).write_bytes((folder / "raw.mcap").read_bytes())
+    runs = [str(tmp_path / name) for name in ("monday.mcap", "tuesday.mcap")]
+    assert command(["build", *runs, "-o", str(tmp_path / "g.sensorgraph")]) == 2
+    said = capsys.readouterr()
+    assert "each run would get a separate map" in said.err and "locating" not in said.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["monday.mcap", "tuesday.mcap"]
+
+
 def test_locate_in_a_map_writes_run_csv_json_and_picture(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -71,7 +71,8 @@ BuildMemory = Annotated[
     typer.Option("--memory", help="Also identify the correlation of residuals in time and between rays."),
 ]
 BuildUpdate = Annotated[
-    Path | None, typer.Option(metavar="GRAPH", help="Add the runs to this sensorgraph (model faces).")
+    Path | None,
+    typer.Option(metavar="GRAPH", help="Add the runs to this sensorgraph (model faces or cells)."),
 ]
 BuildDask = Annotated[
     str | None,
@@ -180,19 +181,20 @@ def _open(
     from logs.stream import WholeRun, open_log
     from sensorgraph.cli.inputs import with_poses, with_robot
     from sensorgraph.errors import SensorgraphError
+    from sensorgraph.localization.kept import needs_locating
 
     with reading_bar() as tick:
         log = open_log(path, **reading, progress=tick)
     log = replace(log, head=with_robot(log.head, str(path), robot))
     n_scans = None if isinstance(log, WholeRun) else log.n_scans
-    run = with_poses(log.head, path, poses, place[0], name=place[1], n_scans=n_scans, options=reading)
-    if run is log.head:
+    if not needs_locating(log.head, log.head.n_scans if n_scans is None else n_scans, poses):
         return log
     if not is_alone and place[0] is None:
         raise SensorgraphError(
             f"{path} has no reference poses, and each run would get a separate map; build the runs one by one: "
             "the first alone, the others with --update GRAPH"
         )
+    run = with_poses(log.head, path, poses, place[0], name=place[1], n_scans=n_scans, options=reading)
     return WholeRun(head=run)
 
 

@@ -9,7 +9,7 @@ import typer
 
 from sensorgraph.cli.options import GraphFile
 
-PredictPoses = Annotated[Path, typer.Option(help="CSV with columns x,y,phi (m, m, rad).")]
+PredictPoses = Annotated[Path, typer.Option(help="CSV with columns x,y,phi (m, m, rad, or with units).")]
 PredictOutput = Annotated[Path, typer.Option("-o", "--out", metavar="NPZ", help="File to write, *.npz.")]
 PredictPoint = Annotated[str, typer.Option(help="Point value in `ranges`: mode, median or mean.")]
 
