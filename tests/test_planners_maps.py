@@ -329,6 +329,8 @@ def test_a_large_map_reads_in_seconds(tmp_path: Path) -> None:
 def test_unknown_suffixes_and_missing_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match=r"no reader for '\.dxf'"):
         load(tmp_path / "a.dxf")
+    with pytest.raises(PlanError, match=r"is a folder; expected a map file: \*\.geojson"):
+        load(tmp_path)
     for suffix in MAPS:
         with pytest.raises(PlanError, match="no such file"):
             load(tmp_path / f"a{suffix}")

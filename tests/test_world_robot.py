@@ -23,6 +23,17 @@ def plain(robot: Robot) -> dict[str, object]:
     return facts | sensor
 
 
+def test_an_empty_file_is_said_in_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "robot.yaml").touch()
+    load_robot(tmp_path / "robot.yaml")
+    assert caplog.messages == [
+        f"{tmp_path / 'robot.yaml'} is empty: every value is the default of robot.yaml"
+    ]
+    (tmp_path / "robot.yaml").write_text("name: rover")
+    load_robot(tmp_path / "robot.yaml")
+    assert len(caplog.messages) == 1
+
+
 def test_an_empty_file_is_the_shipped_robot() -> None:
     shipped = parse_robot((files("sensorgraph.data") / "radix.yaml").read_text())
     assert plain(parse_robot("")) == plain(shipped)

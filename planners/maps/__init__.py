@@ -27,6 +27,10 @@ def load(path: Path) -> Arena:
     PlanError : There is no reader for the suffix, no such file, or the file is invalid.
     """
     path = Path(path)
+    if path.is_dir():
+        raise PlanError(
+            f"{path} is a folder; expected a map file: {', '.join(f'*{suffix}' for suffix in MAPS)}"
+        )
     reader = MAPS.get(path.suffix.lower())
     if reader is None:
         raise PlanError(f"{path}: no reader for '{path.suffix}'; expected one of {', '.join(MAPS)}")

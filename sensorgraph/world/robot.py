@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from importlib.resources import files
@@ -15,6 +16,8 @@ from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.types import Floats
 from sensorgraph.world.robot_sensor import OWN_KEYS, SENSOR_DEFAULTS, parse_sensors, sensor_of
 from sensorgraph.world.robot_values import reject_unknown, section, value_of
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,6 +142,8 @@ def load_robot(path: Path | str | None = None) -> Robot:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as exc:
         raise SensorgraphError(f"{path} is not a text file, expected a robot.yaml") from exc
+    if not text.strip():
+        logger.warning("%s is empty: every value is the default of robot.yaml", path)
     return parse_robot(text, name=str(path))
 
 
