@@ -103,18 +103,19 @@ def export(
         f"{machine.sensor.n_rays} rays, {len(amendments)} effects"
     )
     if robot is None:
-        typer.echo(_whose(machine, kept if driven is None else robot_in(driven), str(run or source)))
+        laser = "" if graph is None or driven is not None else f" with the laser of {source}"
+        typer.echo(_whose(machine, kept if driven is None else robot_in(driven), str(run or source), laser))
     print_log_notes(*([] if driven is None else [driven]))
     for line in left_out:
         typer.echo(f"not in the files of the world: {line}")
     typer.echo(f"wrote {out}; start with {out / 'README.md'}")
 
 
-def _whose(machine: Robot, kept: Robot | None, log: str) -> str:
+def _whose(machine: Robot, kept: Robot | None, log: str, laser: str) -> str:
     """Return one line about the robot of an export for which none was given."""
     if kept is not None:
         return f"{machine.name} is the robot kept in {log}; --robot gives another"
-    return f"{machine.name} is the shipped robot; --robot gives another"
+    return f"{machine.name} is the shipped robot{laser}; --robot gives another"
 
 
 def _located(path: Path, arena: Arena, place: str) -> Run:

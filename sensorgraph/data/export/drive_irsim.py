@@ -5,7 +5,9 @@ It needs sensorgraph and ir-sim: pip install 'ir-sim>=2.10'
 
 from __future__ import annotations
 
+import io
 import os
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +33,10 @@ class IrsimWorld:
     has_motors = False
 
     def __init__(self, folder: Path = HERE) -> None:
-        self.env = irsim.make(
-            str(folder / "world.yaml"), headless=True, disable_all_plot=True, log_level="ERROR"
-        )
+        with redirect_stdout(io.StringIO()):  # it prints the display libraries that are missing
+            self.env = irsim.make(
+                str(folder / "world.yaml"), headless=True, disable_all_plot=True, log_level="ERROR"
+            )
         self.robot = self.env.robot
         parts = [boundary_segments(obstacle.geometry) for obstacle in self.env.obstacle_list]
         self.first, self.last = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
