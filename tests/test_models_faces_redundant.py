@@ -14,6 +14,7 @@ from planners.arena import Arena
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.change_points import Crossings
 from sensorgraph.models.faces.corners import has_length, join_corners
+from sensorgraph.models.faces.equations import _visible_stretches
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.stops import stop_shares
@@ -76,6 +77,20 @@ def test_stretch_between_two_edges_at_one_corner_is_merged() -> None:
     assert joined.edges == pytest.approx([-1.0, 0.0, -1.0, 0.0])
     assert has_length(joined).all()
     assert not has_length(faces._replace(edges=np.array([-1.0, -1.0, -1.0, -1.0, 0.0])))[0]
+
+
+def test_a_stretch_thinner_than_its_printed_digits_is_left_out() -> None:
+    faces = FaceSet(
+        normals=np.array([[0.0, 1.0]]),
+        offsets=np.zeros(1),
+        first=np.array([0, 3]),
+        edges=np.array([-1.0, -2e-4, -1e-4]),
+        levels=np.array([1.0, 0.95, 0.0]),
+        blur=np.full(3, 1e-3),
+        neighbour=np.full(3, -1),
+    )
+    _, along = _visible_stretches(faces, 0, np.array([0.2, 0.1, 0.0]), -1.0)
+    assert along == "    stops it where -1.000 < t < 0.000 (probability 1.000); t = -1.00000 x_hit"
 
 
 def test_shares_of_poses_are_those_of_counted_rays(lab: Faces) -> None:

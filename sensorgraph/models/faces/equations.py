@@ -79,13 +79,18 @@ def _visible_stretches(faces: FaceSet, k: int, shares: Floats, least: float) -> 
         return ["    stops it nowhere"]
     if (shares[own] >= least).any():
         own = own[shares[own] >= least]
+    printed = edges.round(3) + 0.0  # without a negative zero
+    if (is_wide := printed[own + 1] > printed[own]).any():
+        own = own[is_wide]
     (nx, ny), foot = faces.normals[k], faces.normals[k] * faces.offsets[k]
     ends = [foot + edges[j] * faces.tangents[k] for j in (own[0], own[-1] + 1)]
     a, b = (", ".join(f"{value + 0.0:.2f}" for value in end.round(2)) for end in ends)
     share = 100 * float(shares[faces.first[k] : faces.first[k + 1]].sum())
     length = float(edges[own[-1] + 1] - edges[own[0]])
     where = f"near ({a})" if length < 0.1 else f"from ({a}) to ({b})"
-    along = ", ".join(f"{edges[j]:.3f} < t < {edges[j + 1]:.3f} (probability {levels[j]:.3f})" for j in own)
+    along = ", ".join(
+        f"{printed[j]:.3f} < t < {printed[j + 1]:.3f} (probability {levels[j]:.3f})" for j in own
+    )
     return [
         f"    stops it at {share:.1f} % of poses, {where}",
         f"    stops it where {along}; t = {sum_text([(-ny, 'x_hit'), (nx, 'y_hit')])}",
