@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, why
-from sensorgraph.amending.numbers import number, put
+from sensorgraph.amending.numbers import known, number_in, put
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Node
 from sensorgraph.effects import Amendment
@@ -88,29 +88,16 @@ class GazeboSensor:
     def measured(self, laser: MeasuredLaser) -> None:
         """Write rate, rays, angles and ranges of a log, where they differ from those of the file."""
         cause = f"as in {laser.name}"
-        rate = self.sensor.child("update_rate")
-        stated = None if rate is None or rate.text is None else number(rate.text)
+        stated = number_in(self.sensor, "update_rate")
         if stated is None or abs(stated - laser.rate) > SIGMAS * laser.rate_sigma:
             self._leaf(self.sensor, "update_rate", laser.rate, Why(cause=cause, sigma=laser.rate_sigma))
         fan = self._ray().child("scan", "horizontal")
-        if fan is not None:
-            stated_fan = self._fan(fan)
-            if stated_fan is None or not _same_fan(stated_fan, laser):
-                self._leaf(fan, "samples", laser.n_rays, Why(cause=cause))
-                self._leaf(fan, "min_angle", laser.angle_min, Why(cause=cause))
-                self._leaf(fan, "max_angle", laser.angle_max, Why(cause=cause))
+        rays = {"samples": laser.n_rays, "min_angle": laser.angle_min, "max_angle": laser.angle_max}
+        if fan is not None and not all(_states(fan, tag, value) for tag, value in rays.items()):
+            for tag, value in rays.items():
+                self._leaf(fan, tag, value, Why(cause=cause))
         self.limit("min", laser.range_min, Why(cause=cause))
         self.limit("max", laser.range_max, Why(cause=cause))
-
-    def _fan(self, fan: Node) -> tuple[float, float, float] | None:
-        found = []
-        for tag in ("samples", "min_angle", "max_angle"):
-            leaf = fan.child(tag)
-            value = None if leaf is None or leaf.text is None else number(leaf.text)
-            if value is None:
-                return None
-            found.append(value)
-        return found[0], found[1], found[2]
 
     def finish(self) -> None:
         """Add a `<noise>` element with the numbers that were found, if the laser had none."""
@@ -133,9 +120,7 @@ class GazeboSensor:
                 self._leaf(noise, one, change(0.0) if one == tag else 0.0, reason)
             return
         leaf = noise.child(tag)
-        old = 0.0 if leaf is None or leaf.text is None else number(leaf.text)
-        if old is None:
-            raise CannotHoldError(f"`<{tag}>` uses names that no given file sets")
+        old = 0.0 if leaf is None or leaf.text is None else known(leaf.text)
         self._leaf(noise, tag, change(old), reason)
 
     def _switch_on(self, noise: Node, reason: Why) -> bool:
@@ -148,16 +133,9 @@ class GazeboSensor:
         return True
 
     def _leaf(self, parent: Node | None, tag: str, value: float, reason: Why) -> None:
-        """Write the number of a child, which is added if it is missing."""
         if parent is None:
             raise CannotHoldError(f"its laser has no element for `<{tag}>`")
-        leaf = parent.child(tag)
-        if leaf is not None and leaf.text is not None:
-            put(self.document, leaf.text, value, reason)
-        elif parent.children:
-            parent.children[-1].origin.add_behind(f"<{tag}>{number_text(value)}</{tag}>", note(None, reason))
-        else:
-            raise CannotHoldError(f"its laser has no element for `<{tag}>`")
+        _put_leaf(self.document, parent, tag, value, reason)
 
     def _ray(self) -> Node:
         if self.ray is None:
@@ -185,15 +163,9 @@ class DiffDrive:
         if "libgazebo" in plugin.get("filename"):
             raise CannotHoldError("the plugin of Gazebo classic has no limit of speed")
         for tag, value in (("max_linear_velocity", a["v_max"]), ("min_linear_velocity", -a["v_max"])):
-            leaf = plugin.child(tag)
-            if leaf is not None and leaf.text is not None:
-                old = number(leaf.text)
-                if old is None or abs(old) > a["v_max"]:
-                    put(self.document, leaf.text, value, why(a, "v_max"))
-            else:
-                plugin.children[-1].origin.add_behind(
-                    f"<{tag}>{number_text(value)}</{tag}>", note(None, why(a, "v_max"))
-                )
+            old = number_in(plugin, tag)
+            if old is None or abs(old) > a["v_max"]:
+                _put_leaf(self.document, plugin, tag, value, why(a, "v_max"))
 
     def _scale(self, tags: Sequence[str], a: Amendment) -> None:
         plugin = self._plugin()
@@ -202,9 +174,7 @@ class DiffDrive:
             raise CannotHoldError(f"the plugin has no `<{tags[0]}>`")
         for leaf in leaves:
             assert leaf.text is not None
-            old = number(leaf.text)
-            if old is None:
-                raise CannotHoldError(f"`<{leaf.tag}>` uses names that no given file sets")
+            old = known(leaf.text)
             reason = why(a, "s", per=old)
             cause = f"{reason.cause}, assumed by the driver"
             put(self.document, leaf.text, old * (1 + a["s"]), Why(cause=cause, sigma=reason.sigma))
@@ -219,10 +189,23 @@ class DiffDrive:
         return self.plugins[0]
 
 
-def _same_fan(stated: tuple[float, float, float], laser: MeasuredLaser) -> bool:
-    n, first, last = stated
-    return (
-        n == laser.n_rays
-        and abs(first - laser.angle_min) < SAME_ANGLE
-        and abs(last - laser.angle_max) < SAME_ANGLE
-    )
+def _states(fan: Node, tag: str, value: float) -> bool:
+    """Return whether a fan of rays states their number, or an angle [rad]."""
+    stated = number_in(fan, tag)
+    return stated is not None and abs(stated - value) < SAME_ANGLE
+
+
+def _put_leaf(document: Document, parent: Node, tag: str, value: float, reason: Why) -> None:
+    """Write the number of a child, which is added behind the others if it is missing.
+
+    Raises
+    ------
+    CannotHoldError : The parent is empty.
+    """
+    leaf = parent.child(tag)
+    if leaf is not None and leaf.text is not None:
+        put(document, leaf.text, value, reason)
+    elif parent.children:
+        parent.children[-1].origin.add_behind(f"<{tag}>{number_text(value)}</{tag}>", note(None, reason))
+    else:
+        raise CannotHoldError(f"its laser has no element for `<{tag}>`")

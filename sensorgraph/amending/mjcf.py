@@ -21,8 +21,8 @@ from sensorgraph.amending.mjcf_frames import (
     own_rotation,
     turn_frame,
 )
-from sensorgraph.amending.numbers import number, put
-from sensorgraph.amending.place import known, shift, shift_of
+from sensorgraph.amending.numbers import known, number, put
+from sensorgraph.amending.place import shift, shift_of
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
@@ -103,14 +103,14 @@ class _MjcfModel:
         sites = [node for one in self.rangefinders if (node := self._site(one.get("site"))) is not None]
         by_body: dict[int, tuple[Node, list[Node]]] = {}
         for site in sites:
-            body = _above(site)
+            body = next(site.around("body"), None)
             if body is not None:
                 by_body.setdefault(id(body), (body, []))[1].append(site)
         named = [(body.get("name") or "unnamed", body) for body, _ in by_body.values()]
         body = choose(named, laser, [*self.bodies, *self.sites], file)
         if body is None:
             return []
-        is_own = not any(True for _ in _own(body, "joint", "freejoint")) and _above(body) is not None
+        is_own = not any(_own(body, "joint", "freejoint")) and any(body.around("body"))
         return [body] if is_own else by_body[id(body)][1]
 
     def _site(self, name: str) -> Node | None:
@@ -289,8 +289,8 @@ class _MjcfModel:
     def _body_of(self, actuator: Node) -> Node | None:
         """Return the body that an actuator's joint moves."""
         joints = self.document.all("joint", "freejoint")
-        bodies = (_above(one) for one in joints if one.get("name") == actuator.get("joint"))
-        return next((body for body in bodies if body is not None), None)
+        moved = (one for one in joints if one.get("name") == actuator.get("joint"))
+        return next((body for one in moved for body in one.around("body")), None)
 
     def _check_own(self, frame: Node, names: tuple[str, ...]) -> None:
         """Check that no default class places a site: its number would be that of other sites, too."""
@@ -311,13 +311,12 @@ class _MjcfModel:
 
     def _parent_rotation(self, frame: Node) -> Floats:
         """Return the rotation (3, 3) of the parent of a frame in the moving base."""
-        matrix, above = np.eye(3), frame.parent
-        while above is not None and above.tag in ("body", "frame", "replicate"):
-            if any(True for _ in _own(above, "freejoint", "joint")):
+        matrix = np.eye(3)
+        for above in frame.around():
+            if above.tag not in ("body", "frame", "replicate") or any(_own(above, "freejoint", "joint")):
                 break
             if above.tag != "replicate":
                 matrix = own_rotation(above, self.angle, self.order) @ matrix
-            above = above.parent
         return matrix
 
 
@@ -326,18 +325,6 @@ def _own(body: Node, *tags: str) -> Iterator[Node]:
     return (child for child in body.children if child.tag in tags)
 
 
-def _above(node: Node) -> Node | None:
-    """Return the body that contains a node."""
-    above = node.parent
-    while above is not None and above.tag != "body":
-        above = above.parent
-    return above
-
-
 def _robot(node: Node | None) -> Node | None:
     """Return the outermost body around a node, or the node itself."""
-    robot, above = node, node
-    while above is not None:
-        robot = above if above.tag == "body" else robot
-        above = above.parent
-    return robot
+    return None if node is None else [node, *node.around("body")][-1]

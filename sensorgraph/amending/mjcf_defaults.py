@@ -15,12 +15,10 @@ def default_of(document: Document, node: Node, name: str) -> Value | None:
     """Return an attribute of a geom, a site or an actuator, or that of its default class; None without one."""
     if name in node.attributes:
         return node.attributes[name]
-    wanted = node.get("class")
-    above = node.parent
-    while above is not None and not wanted:
-        wanted, above = above.get("childclass"), above.parent
+    classes = [node.get("class"), *(one.get("childclass") for one in node.around())]
+    wanted = next(filter(None, classes), "main")
     tags = ACTUATORS if node.tag in ACTUATORS else (node.tag,)
-    groups = [one for one in document.all("default") if _class_of(one) == (wanted or "main")]
+    groups = [one for one in document.all("default") if _class_of(one) == wanted]
     while groups:
         for inner in (one for group in groups for one in group.children if one.tag in tags):
             if name in inner.attributes:

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sensorgraph.amending.findings import CannotHoldError, why
-from sensorgraph.amending.numbers import put
-from sensorgraph.amending.place import SMALL, angles_of, known, turned
+from sensorgraph.amending.numbers import known, put
+from sensorgraph.amending.place import SMALL, angles_of, turned
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment

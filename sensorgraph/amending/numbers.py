@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from sensorgraph.amending.expressions import PARTS, UnknownNameError, is_sum, names_in
 from sensorgraph.amending.findings import CannotHoldError
 from sensorgraph.amending.text import ROUND_OFF, Why, is_same, note, number_text
-from sensorgraph.amending.xacro import Document, Value
+from sensorgraph.amending.xacro import Document, Node, Value
 
 ALONE = re.compile(r"\$\{\s*(-?)\s*([A-Za-z_]\w*)\s*\}|\$\(\s*(arg\s+\w+)\s*\)")
 """A value that is one name, possibly with a minus."""
@@ -23,6 +23,25 @@ def number(value: Value) -> float | None:
         return float(value.evaluated())
     except (UnknownNameError, TypeError, ValueError):
         return None
+
+
+def known(value: Value) -> float:
+    """Return a number of a file.
+
+    Raises
+    ------
+    CannotHoldError : It uses names that no given file sets.
+    """
+    found = number(value)
+    if found is None:
+        raise CannotHoldError(f"`{value.text.strip()}` uses names that no given file sets")
+    return found
+
+
+def number_in(node: Node, *path: str) -> float | None:
+    """Return the number in the node at a path of tags below one; None without a number that the files set."""
+    leaf = node.child(*path)
+    return None if leaf is None or leaf.text is None else number(leaf.text)
 
 
 def put(document: Document, value: Value, new: float, why: Why) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sensorgraph.amending.findings import CannotHoldError, why
-from sensorgraph.amending.numbers import number, put
+from sensorgraph.amending.findings import why
+from sensorgraph.amending.numbers import known, number, put
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Value
 from sensorgraph.effects import Amendment
@@ -117,19 +117,6 @@ def turn(document: Document, rpy: Sequence[Value], a: Amendment, parent: Floats,
 def turned(matrix: Floats, angle: float, parent: Floats) -> Floats:
     """Return a rotation (3, 3) in its parent after a turn [rad] about the z axis of base_link."""
     return np.asarray(parent.T @ rotation([0.0, 0.0, angle]) @ parent @ matrix)
-
-
-def known(value: Value) -> float:
-    """Return a number of a file.
-
-    Raises
-    ------
-    CannotHoldError : It uses names that no given file sets.
-    """
-    found = number(value)
-    if found is None:
-        raise CannotHoldError(f"`{value.text.strip()}` uses names that no given file sets")
-    return found
 
 
 def triple(values: Sequence[Value]) -> list[float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
 from sensorgraph.amending.gazebo import LASERS, DiffDrive, GazeboSensor, choose, is_diff_drive
-from sensorgraph.amending.numbers import number, put
-from sensorgraph.amending.place import NewPose, known, numbers_text, rotation, shift, triple, turn
+from sensorgraph.amending.numbers import known, put
+from sensorgraph.amending.place import NewPose, numbers_text, rotation, shift, triple, turn
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.max_range import MAX_RANGE
@@ -105,8 +104,8 @@ class _SdfModel:
         chosen = choose([(one.get("name"), one) for one in found], laser, self.links, file)
         self.sensor = None if chosen is None else GazeboSensor(document, chosen)
         plugins = [node for node in document.all("plugin") if is_diff_drive(node)]
-        robot = [] if chosen is None else list(_models(chosen))[-1:]
-        own = [node for node in plugins if robot and robot[0] in _models(node)]
+        robot = [] if chosen is None else list(chosen.around("model"))[-1:]
+        own = [node for node in plugins if robot and robot[0] in node.around("model")]
         self.plugins = own or plugins
 
     def shift(self, a: Amendment) -> None:
@@ -152,9 +151,7 @@ class _SdfModel:
             if not leaves:
                 raise CannotHoldError(f"the {side} wheel `{name}` has no collision cylinder or sphere")
             for radius in leaves:
-                old = number(radius)
-                if old is None:
-                    raise CannotHoldError("the radius of a wheel uses names that no given file sets")
+                old = known(radius)
                 factor = sign * a["s"] / 2
                 put(self.document, radius, old * (1 + factor), why(a, "s", per=old / 2))
 
@@ -163,9 +160,7 @@ class _SdfModel:
         if self.sensor is None:
             raise CannotHoldError("it has no laser `<sensor>`")
         node = self.sensor.sensor
-        link = node.parent
-        while link is not None and link.tag != "link":
-            link = link.parent
+        link = next(node.around("link"), None)
         origin = _base_link(node)
         base = self._rotation(origin)
         own = node.child("pose")
@@ -222,7 +217,7 @@ def _place_included(document: Document) -> None:
             }
             found = [one for one in includes if names & set(Path(one.content("uri")).parts[-1:])]
             around = found[0].parent if len(found) == 1 else None
-            if around is None or root in _above(found[0]):
+            if around is None or root in found[0].around():
                 continue
             model.parent, include = around, found[0]
             around.children.append(model)
@@ -232,28 +227,16 @@ def _place_included(document: Document) -> None:
                 model.attributes["name"] = name.text
 
 
-def _above(node: Node) -> Iterator[Node]:
-    """Yield the nodes around a node, from the inside out."""
-    while node.parent is not None:
-        node = node.parent
-        yield node
-
-
-def _models(node: Node) -> Iterator[Node]:
-    """Yield the models around a node, from the inside out."""
-    return (one for one in _above(node) if one.tag == "model")
-
-
 def _nested_model(node: Node) -> Node | None:
     """Return the model around a node if it is nested; the world's models are placed anywhere."""
-    around = list(_models(node))
+    around = list(node.around("model"))
     return around[0] if len(around) > 1 else None
 
 
 def _frame(name: str, near: Node) -> Node | None:
     """Return the link, joint, frame or model of a name, such as `lidar::link`, in the models around a node."""
     last = name.rsplit("::", 1)[-1]
-    for model in _models(near):
+    for model in near.around("model"):
         for one in model.all("link", "joint", "frame", "model"):
             if last and one.get("name") == last and one is not near:
                 return one
@@ -262,7 +245,7 @@ def _frame(name: str, near: Node) -> Node | None:
 
 def _base_link(sensor: Node) -> Node | None:
     """Return the link `base_link` of the robot with a sensor, or its first link."""
-    robot = next(reversed(list(_models(sensor))), None)
+    robot = next(reversed(list(sensor.around("model"))), None)
     links = [] if robot is None else list(robot.all("link"))
     return next((one for one in links if one.get("name") == "base_link"), links[0] if links else None)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from sensorgraph.amending.findings import CannotHoldError, MeasuredLaser, apply, why
 from sensorgraph.amending.gazebo import LASERS, DiffDrive, GazeboSensor, choose, is_diff_drive
-from sensorgraph.amending.numbers import number, scale
-from sensorgraph.amending.place import NewPose, known, numbers_text, rotation, shift, triple, turn
+from sensorgraph.amending.numbers import known, number, scale
+from sensorgraph.amending.place import NewPose, numbers_text, rotation, shift, triple, turn
 from sensorgraph.amending.sdf import sensor_handlers, write_measured
 from sensorgraph.amending.text import note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value

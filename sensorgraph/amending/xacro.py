@@ -170,6 +170,14 @@ class Node:
         for child in self.children:
             yield from child.all(*tags)
 
+    def around(self, *tags: str) -> Iterator[Node]:
+        """Yield the nodes around this one with one of these tags, or all, from the inside out."""
+        node = self.parent
+        while node is not None:
+            if not tags or node.tag in tags:
+                yield node
+            node = node.parent
+
     def child(self, *path: str) -> Node | None:
         """Return the first node at a path of tags below this one."""
         node: Node | None = self
