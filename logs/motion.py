@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from logs.sensor import PoseFrame, RangeSensor
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, difference, invert, wrap
 from logs.types import Floats, Ints
 
 if TYPE_CHECKING:
@@ -217,8 +217,7 @@ def _between(first: Floats, last: Floats, begin: Floats, now: Floats, end: Float
     begin, now, end : (n, 3) odometry at the first reference pose, in between, and at the last one
     share : (n,) elapsed share of the time between the two reference poses
     """
-    mismatch = last - compose(first, compose(invert(begin), end))
-    mismatch[:, 2] = wrap(mismatch[:, 2])
+    mismatch = difference(last, compose(first, compose(invert(begin), end)))
     return np.asarray(compose(first, compose(invert(begin), now)) + share[:, None] * mismatch)
 
 
@@ -238,8 +237,6 @@ def _odometry_is_better(stamps: Floats, poses: Floats, odometry: Floats) -> bool
     interpolated = Motion(stamps=stamps[::2], poses=_unwrapped(poses)[::2]).at(stamps[middle])
 
     def squared_error(predicted: Floats) -> float:
-        error = predicted - poses[middle]
-        error[:, 2] = wrap(error[:, 2])
-        return float(np.square(error).sum())
+        return float(np.square(difference(predicted, poses[middle])).sum())
 
     return squared_error(by_odometry) < squared_error(interpolated)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.publishers import PUBLISHER_LIMITS as ROBOT
-from logs.transforms import wrap
+from logs.transforms import difference
 from logs.types import Bools, Floats, Ints
 
 # conventions, not fitted to data
@@ -175,9 +175,7 @@ def _changes(poses: Floats) -> Ints:
 
 def _steps(first: Floats, second: Floats) -> Floats:
     """Return the steps (n, 3) [m] between poses, in the frame of the odometry, with turns as distances."""
-    steps = second - first
-    steps[:, 2] = wrap(steps[:, 2])
-    return np.asarray(steps * [1.0, 1.0, ROBOT.lever])
+    return np.asarray(difference(second, first) * [1.0, 1.0, ROBOT.lever])
 
 
 def _usual(stamps: Floats) -> float:

@@ -47,6 +47,18 @@ def invert(T_a_b: Floats) -> Floats:
     return np.stack([x, y, wrap(-T_a_b[..., 2])], axis=-1)
 
 
+def difference(poses: Floats, others: Floats) -> Floats:
+    """Return poses - others (..., 3) [m, m, rad], with headings in (-pi, pi]."""
+    off = poses - others
+    off[..., 2] = wrap(off[..., 2])
+    return off
+
+
+def distances_along(poses: Floats) -> Floats:
+    """Return the distance (n,) [m] from the first of poses (n, 2) or (n, 3) to each, on straight lines between them."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+
+
 def _cos_sin(phi: float) -> tuple[float, float]:
     return (math.cos(phi), math.sin(phi)) if math.isfinite(phi) else (math.nan, math.nan)
 

@@ -12,7 +12,7 @@ import numpy as np
 import logs
 from logs.files import atomic_file
 from logs.run import Run
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, distances_along, invert
 from sensorgraph.building.build import build
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
@@ -89,13 +89,12 @@ def odometry_drift(found: LocatedRun) -> tuple[float, float]:
         return float("nan"), float("nan")
     odometry = odometry_at_scans(found.run, motion)
     steps = compose(invert(odometry[:-1]), odometry[1:])
-    steps[:, 2] = wrap(steps[:, 2])
     wheels = found.wheels
     better_steps = corrected_steps(steps, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
     better = np.zeros_like(odometry)
     for k, step in enumerate(better_steps):
         better[k + 1] = compose(better[k], step)
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(found.poses[:, :2], axis=0).T))])
+    driven = distances_along(found.poses)
     first = np.arange(0, len(driven), 10)
     last = np.searchsorted(driven, driven[first] + DRIFT_DISTANCE)
     first, last = first[last < len(driven)], last[last < len(driven)]

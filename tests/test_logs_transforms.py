@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from logs.transforms import compose, invert
+from logs.transforms import compose, difference, distances_along, invert
 from sensorgraph.types import Floats
 
 RNG = np.random.default_rng(0)
@@ -40,3 +42,16 @@ def test_a_half_turn_is_positive() -> None:
     half = np.array([0.0, 0.0, np.pi])
     assert compose(half, np.zeros(3))[2] == invert(half)[2] == np.pi
     np.testing.assert_array_equal(compose(half[None], np.zeros((1, 3)))[0], compose(half, np.zeros(3)))
+
+
+def test_difference_takes_the_shorter_turn() -> None:
+    off = difference(A, B)
+    assert (np.abs(off[:, 2]) <= np.pi).all()
+    np.testing.assert_allclose(np.exp(1j * (B + off)[:, 2]), np.exp(1j * A[:, 2]), atol=1e-12)
+    np.testing.assert_array_equal(difference(A[0], B[0]), off[0])
+
+
+def test_distances_along_a_path_add_up() -> None:
+    along = distances_along(A)
+    assert along[0] == 0.0 and (np.diff(along) > 0).all()
+    np.testing.assert_allclose(along[-1], sum(np.hypot(*(b - a)[:2]) for a, b in pairwise(A)))

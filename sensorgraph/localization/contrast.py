@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.run import Run
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.localization.missing_odometry import is_measured
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.result import Status, WheelParameters, true_intervals
@@ -75,10 +75,8 @@ class Contrast:
         first, last = first[both], last[both]
         a = compose(invert(poses[first]), poses[last])
         b = compose(invert(odometry[first]), odometry[last])
-        a[:, 2], b[:, 2] = wrap(a[:, 2]), wrap(b[:, 2])
         b = corrected_steps(b, wheels.way_scale, wheels.turn_scale, wheels.heading_bias)
         off = compose(invert(b), a)
-        off[:, 2] = wrap(off[:, 2])
         offset = _offset(off, b[:, 2], float(np.mean(last - first)) if len(first) else 1.0)
         off[:, :2] -= _moved_by_turns(b[:, 2]) @ offset
         longer, turn = (np.maximum(size(a), size(b)) for size in (_way, lambda one: np.abs(one[:, 2])))

@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs.motion import Motion
-from logs.transforms import compose, invert
+from logs.transforms import compose, distances_along, invert
 from sensorgraph.localization.settings import N_REWEIGHTED
 from sensorgraph.types import Floats
 
@@ -72,7 +72,7 @@ def course_steps(poses: Floats, least: float = MIN_STEP) -> tuple[Floats, Floats
     """
     chosen = poses
     if least > 0:
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+        way = distances_along(poses)
         chosen = poses[np.unique(np.searchsorted(way, np.arange(0.0, way[-1], least)))]
     return np.diff(chosen[:, :2], axis=0), (chosen[1:, 2] + chosen[:-1, 2]) / 2.0
 

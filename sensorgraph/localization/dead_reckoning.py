@@ -21,7 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.localization.map_states import open_directions
 from sensorgraph.localization.refinement import Refined
 from sensorgraph.localization.result import WheelParameters, true_intervals
@@ -145,7 +145,6 @@ def with_sweep_motion(covariances: Floats, stamps: Floats, poses: Floats, durati
         return covariances
     took = np.diff(stamps)
     steps = compose(invert(poses[:-1]), poses[1:])
-    steps[:, 2] = wrap(steps[:, 2])
     steps[took > 0] /= took[took > 0, None]
     steps[took <= 0] = 0.0
     change = np.zeros_like(poses)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from logs.run import Run
-from logs.transforms import compose, invert
+from logs.transforms import compose, distances_along, invert
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.global_search import fit_at, local_view
@@ -181,7 +181,7 @@ def _rivals_fit(scans: ScanPoints, steps: ScanTrack, place: KnownMap, rivals: Ma
     A single scan fits many places of a wrong map; scans along several metres do not.
     """
     fits = [0.0]
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(steps.poses[:, :2], axis=0).T))])
+    driven = distances_along(steps.poses)
     piece = np.cumsum(~steps.is_continuous)
     for k, poses in rivals.items():
         near = np.flatnonzero(

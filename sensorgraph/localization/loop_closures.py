@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, difference, distances_along, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.matching import Match, match
 from sensorgraph.localization.pose_graph import PoseEdges, PoseGraph
@@ -117,8 +117,7 @@ class LoopCloser:
         self.steps = steps_of(track)
         start = track.poses[track.key_frames]
         self.graph = PoseGraph(start, self.steps, is_doubtful=track.is_carried)
-        ways = np.hypot(*np.diff(start[:, :2], axis=0).T)
-        self.way = np.concatenate([[0.0], np.cumsum(ways)])
+        self.way = distances_along(start)
         variances = np.linalg.inv(track.edge_information)[:, [0, 1], [0, 1]].max(axis=1)
         self.variance = np.concatenate([[0.0], np.cumsum(variances)])  # [m²] of the position along the track
         self.found: list[tuple[int, int, Floats, Floats]] = []
@@ -380,8 +379,6 @@ def spread(track: ScanTrack, poses: Floats) -> Floats:
     keys = track.key_frames
     moved = compose(poses[left], compose(invert(track.poses[keys[left]]), track.poses))
     there = compose(poses[left], compose(invert(track.poses[keys[left]]), track.poses[keys[right]]))
-    miss = poses[right] - there
-    miss[:, 2] = wrap(miss[:, 2])
-    out: Floats = moved + share[:, None] * miss
+    out: Floats = moved + share[:, None] * difference(poses[right], there)
     out[:, 2] = wrap(out[:, 2])
     return out

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, distances_along, invert, wrap
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import MIN_POINTS, GlobalPlaces, find_places, fit_of, local_view
 from sensorgraph.localization.known_map import KnownMap
@@ -112,7 +112,7 @@ class MapTracker:
         self.information = np.zeros((n, 3, 3))
         self.rivals: dict[int, Floats] = {}
         self.best_fit = 0.0
-        self.driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track.poses[:, :2], axis=0).T))])
+        self.driven = distances_along(track.poses)
         self.state = _State()
 
     def run(self, progress: Progress) -> MapTracker:

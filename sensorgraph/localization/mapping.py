@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.run import Run
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.covariances import key_frame_covariances
 from sensorgraph.localization.dead_reckoning import with_dead_reckoning, with_sweep_motion
@@ -249,9 +249,7 @@ def _moved_to(poses: Floats, covariances: Floats, origin: Floats) -> tuple[Float
     """Move all poses so that the first is at the origin (3,)."""
     move = compose(origin, invert(poses[0]))
     turn = turn_matrices(move[2])
-    moved = compose(np.broadcast_to(move, poses.shape), poses)
-    moved[:, 2] = wrap(moved[:, 2])
-    return moved, turn @ covariances @ turn.T
+    return compose(np.broadcast_to(move, poses.shape), poses), turn @ covariances @ turn.T
 
 
 def _narrow_view(run: Run) -> tuple[str, ...]:

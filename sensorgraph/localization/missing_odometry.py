@@ -163,7 +163,6 @@ def _of_scans(run: Run, motion: Motion, begin: int, end: int, bounds: tuple[floa
     if has_left and has_right:
         there = compose(placed, tracked.at(np.array([right])))
         off = compose(invert(there), motion.at(np.array([right])))
-        off[:, 2] = wrap(off[:, 2])
         poses = compose(poses, off * ((times - left) / (right - left))[:, None])
     return Motion(stamps=times, poses=poses)
 

@@ -27,7 +27,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, difference, invert, wrap
 from sensorgraph.localization.point_rows import (
     FramePoints,
     PointRows,
@@ -107,8 +107,7 @@ def edge_system(poses: Floats, edges: PoseEdges) -> tuple[sparse.csr_array, Floa
     """
     n, m = len(poses), len(edges)
     a, b = poses[edges.first], poses[edges.second]
-    residuals = compose(invert(a), b) - edges.relative
-    residuals[:, 2] = wrap(residuals[:, 2])
+    residuals = difference(compose(invert(a), b), edges.relative)
     first, second = step_derivatives(a, b)
     rows = _block_matrix(np.arange(m), edges.first, first, (m, n)) + _block_matrix(
         np.arange(m), edges.second, second, (m, n)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, difference, invert, wrap
 from sensorgraph.localization.scan_track import ScanTrack, step_derivatives
 from sensorgraph.localization.settings import CAUCHY, SMOOTHING
 from sensorgraph.types import Bools, Floats
@@ -93,8 +93,7 @@ def smooth(
 
 def _weights(poses: Floats, places: Floats, place_information: Floats) -> Floats:
     """Return Cauchy's weight (n,) of each measured pose: 1 / (1 + |x_k - places_k|²_P / (3 CAUCHY²))."""
-    off = poses - places
-    off[:, 2] = wrap(off[:, 2])
+    off = difference(poses, places)
     square = np.einsum("ni,nij,nj->n", off, place_information, off)
     return np.asarray(1.0 / (1.0 + square / (3 * CAUCHY**2)))
 
@@ -107,8 +106,7 @@ def _normal_equations(
     The blocks of JᵀWJ are `diagonal` (n, 3, 3) and, below it, `lower` (n - 1, 3, 3). The gradient (n, 3) is
     JᵀWr. Places have the weights of `_weights`.
     """
-    off = poses - places
-    off[:, 2] = wrap(off[:, 2])
+    off = difference(poses, places)
     weighted = place_information * _weights(poses, places, place_information)[:, None, None]
     diagonal = weighted + 1e-9 * np.eye(3)
     gradient = np.einsum("nij,nj->ni", weighted, off)

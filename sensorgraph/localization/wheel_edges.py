@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, difference, invert
 from sensorgraph.localization.pose_graph import PoseEdges
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scan_track import ScanTrack
@@ -105,8 +105,7 @@ class WheelSteps:
         relative = corrected_steps(self.steps, found.way_scale, found.turn_scale, found.heading_bias)
         way = signed_distance(self.steps)
         sd = WheelEstimate().deviations(np.abs(way), relative[:, 2])
-        off = measured - relative
-        off[:, 2] = wrap(off[:, 2])
+        off = difference(measured, relative)
         scale = self._scatter(off / sd)
         z = off / (sd * scale)
         soft = 1.0 / (1.0 + (z**2).sum(axis=1) / (3.0 * CAUCHY**2))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.transforms import compose, invert
+from logs.transforms import compose, difference, invert
 from sensorgraph.localization.global_search import MIN_POINTS
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.matching import CORRELATION, Match, match
@@ -17,7 +17,7 @@ from sensorgraph.localization.wheels import slip_of
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
 from sensorgraph.watching.resemblance import resemblance_of
-from sensorgraph.watching.scan_input import ScanInput, apart, difference
+from sensorgraph.watching.scan_input import ScanInput, apart
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 
 PROBABLE = 0.9

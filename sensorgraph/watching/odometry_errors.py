@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.transforms import compose, wrap
+from logs.transforms import compose, difference
 from sensorgraph.types import Floats
 from sensorgraph.watching.settings import DISTANCE_FAULTS
 
@@ -147,8 +147,7 @@ class OdometryErrors:
     def _correct(self, twist: Floats, tracked: Floats, noise: Floats) -> float:
         phi, late, mount = self.mean[:, 2], self.mean[:, -1], self.mean[:, 3:][:, MOUNT]
         ahead = np.column_stack([twist[0] * late + mount[:, 0], mount[:, 1], twist[1] * late])
-        off = tracked - compose(self.mean[:, :3], ahead)
-        off[:, 2] = wrap(off[:, 2])
+        off = difference(tracked, compose(self.mean[:, :3], ahead))
         by = _by_errors(phi, twist)
         cos, sin = np.cos(phi), np.sin(phi)
         h = np.concatenate([np.tile(np.eye(3), (len(LEVELS), 1, 1)), by], axis=2)

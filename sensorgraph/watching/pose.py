@@ -18,11 +18,11 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import expit, ndtr
 
-from logs.transforms import compose
+from logs.transforms import compose, difference
 from sensorgraph.types import Floats
 from sensorgraph.watching.modes import Mode
 from sensorgraph.watching.observation import Observation
-from sensorgraph.watching.scan_input import apart, difference
+from sensorgraph.watching.scan_input import apart
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 from sensorgraph.watching.tracker import PoseTracker
 

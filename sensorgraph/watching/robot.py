@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, difference, invert
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.models.base import Prediction
 from sensorgraph.types import Bools, Floats
@@ -203,11 +203,8 @@ class RobotHealth:
         """
         if len(self._steps) < 10:
             return []
-        driven = np.array([step for step, _ in self._steps])
-        true = np.array([step for _, step in self._steps])
-        off = true - driven
-        off[:, 2] = wrap(off[:, 2])
-        off = median_filter(off, (3, 1), mode="nearest")
+        driven, true = (np.array(steps) for steps in zip(*self._steps, strict=True))
+        off = median_filter(difference(true, driven), (3, 1), mode="nearest")
         odd = (np.hypot(off[:, 0], off[:, 1]) > 0.5 * np.maximum(np.hypot(*driven[:, :2].T), MOVING)) | (
             np.abs(off[:, 2]) > 0.15
         )

@@ -133,13 +133,6 @@ def new_share(step: Floats, slip: Floats, dt: float, priors: TrackingPriors) -> 
     return min(way + turn + dt / priors.independent_period, 1.0)
 
 
-def difference(pose: Floats, other: Floats) -> Floats:
-    """Return pose - other (3,) [m, m, rad], with the turn within half a revolution."""
-    off = pose - other
-    off[2] = wrap(off[2])
-    return off
-
-
 def apart(a: Floats, b: Floats) -> tuple[float, float]:
     """Return the distance [m] and the turn [rad] between two poses (3,)."""
     return float(np.hypot(*(a - b)[:2])), float(abs(wrap(a[2] - b[2])))

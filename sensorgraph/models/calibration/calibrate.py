@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.run import RangeSensor
-from logs.transforms import compose, wrap
+from logs.transforms import compose, difference
 from sensorgraph.models.calibration.gauge import Gauge, estimate_gauge
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.calibration.matching import (
@@ -332,8 +332,7 @@ class _JointCalibration:
             self.adjust(incidence=True, shift=found.shift)
 
     def calibration(self) -> Calibration:
-        offset = self.mount - self.specified
-        offset[2] = wrap(offset[2])
+        offset = difference(self.mount, self.specified)
         # the mean error of the poses over all scans cannot be distinguished from a mount error
         limits = np.array([*2 * self.pose_noise[:1], self.pose_noise[1]]) / math.sqrt(self.n_scans)
         return Calibration(

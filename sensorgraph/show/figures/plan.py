@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.transforms import distances_along
 from planners import Plan
 from planners.arena import Arena
 from planners.holes import REASON_TEXTS, cut_off, unmet
@@ -85,7 +86,7 @@ def _route(figure: Any, axes: Any, plan: Plan) -> None:
 
     poses, stamps = plan.trajectory.poses, plan.trajectory.stamps
     extent = max(_side(plan), 1e-9)
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    driven = distances_along(poses)
     step = max(extent / STEPS_PER_SIDE, driven[-1] / MAX_ROUTE_POINTS)
     shown = np.append(np.flatnonzero(np.diff(np.floor(driven / step), prepend=-1.0)), len(driven) - 1)
     line, when = poses[shown, :2], stamps[shown] / 60.0

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.diagnosis.motion.calibration.laser_motion import (
     BLOCKS,
     STEP_TURN,
@@ -278,9 +278,7 @@ def _derivatives(motion: LaserMotion, theta: Floats, window: int) -> Floats:
 
 def _residuals(motion: LaserMotion, theta: Floats) -> Floats:
     """Return the measured steps of the laser relative to the predicted ones (n_steps, 3) [m, m, rad]."""
-    off = compose(invert(predicted(motion, theta)), motion.steps)
-    off[:, 2] = wrap(off[:, 2])
-    return off
+    return compose(invert(predicted(motion, theta)), motion.steps)
 
 
 def predicted(motion: LaserMotion, theta: Floats) -> Floats:
@@ -306,5 +304,4 @@ def predicted(motion: LaserMotion, theta: Floats) -> Floats:
     at = np.asarray(mount)
     seen = compose(np.broadcast_to(invert(at), steps.shape), steps)
     out = compose(seen, np.broadcast_to(at, steps.shape))
-    out[:, 2] = wrap(out[:, 2])
     return np.asarray(out)

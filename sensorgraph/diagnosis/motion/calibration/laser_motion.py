@@ -13,7 +13,7 @@ import numpy as np
 
 from logs.notes import ODOMETRY_LEFT_OUT, notes_of
 from logs.run import Run, pair
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, invert
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
@@ -120,7 +120,6 @@ def laser_motion(
             scatter = step_scatter(found, steps, mount)
         there, back = np.broadcast_to(mount, steps.shape), np.broadcast_to(invert(mount), steps.shape)
         steps = compose(compose(back, steps), there)
-        steps[:, 2] = wrap(steps[:, 2])
     whole = np.diff(length[keys]) < LONGEST_STEP
     if scatter is not None:
         scatter = scatter[whole]
