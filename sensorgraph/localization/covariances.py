@@ -56,7 +56,7 @@ def key_frame_covariances(
     n = system.n_frames
     errors = map_surface_errors(system, refined.preconditioner, rng)
     draws, wheel_draws = bootstrap_scores(system, errors, rng, SAMPLES)
-    samples, _ = conjugate_gradients(system, draws, refined.preconditioner)
+    samples = conjugate_gradients(system, draws, refined.preconditioner)
     parameters = system.wheel_inverse @ (wheel_draws - system.wheel_coupling.T @ samples)
     deviations = np.concatenate([samples.reshape(n, 3, -1), refined.last_step[:, :, None]], axis=2)
     seen = system.rows.projections

@@ -10,7 +10,7 @@ from logs.run import Run
 from logs.transforms import compose, distances_along, invert
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.contrast import contrast_notes
-from sensorgraph.localization.global_search import fit_at, local_view
+from sensorgraph.localization.global_search import evenly, fit_at, local_view
 from sensorgraph.localization.known_map import KnownMap, SeenSpace, known_map
 from sensorgraph.localization.map_check import DRIVE_SCANS, best_fit, looks, mirrored
 from sensorgraph.localization.map_tracking import MapMatches, MapTracker, rematch
@@ -187,7 +187,7 @@ def _rivals_fit(scans: ScanPoints, steps: ScanTrack, place: KnownMap, rivals: Ma
         near = np.flatnonzero(
             (piece == piece[k]) & (np.abs(driven - driven[k]) <= MAP_TRACKING.usual_distance)
         )
-        some = near[np.linspace(0, len(near) - 1, min(DRIVE_SCANS, len(near))).astype(np.intp)]
+        some = near[evenly(len(near), DRIVE_SCANS)]
         chosen = np.append(some[some != k], k)
         view = local_view(scans, chosen, steps.poses[chosen])
         for pose in poses:

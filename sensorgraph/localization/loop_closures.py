@@ -241,9 +241,7 @@ class LoopCloser:
             guess = compose(invert(poses[older.middle]), poses[newer.middle])
         if len(newer.search_points) < 10 or len(older.points[0]) < 10:
             return []
-        box = SearchWindow(
-            x=guess[0], y=guess[1], phi=guess[2], half_x=window, half_y=window, half_phi=float(turn)
-        )
+        box = SearchWindow.around(guess, half_xy=window, half_phi=turn)
         modes = older.pyramid.search(
             newer.search_points,
             box,

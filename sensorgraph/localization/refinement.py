@@ -182,15 +182,8 @@ def conjugate_gradients(
     preconditioner: sparse.csc_array,
     tolerance: float = TOLERANCE,
     max_steps: int = MAX_STEPS,
-) -> tuple[Floats, int]:
-    """Solve H x = rhs for all columns of rhs (3 n_frames, m) by preconditioned conjugate gradients.
-
-    H is the reduced normal matrix.
-
-    Returns
-    -------
-    Solutions (3 n_frames, m), and the number of steps.
-    """
+) -> Floats:
+    """Return x (3 n_frames, m) of H x = rhs, with the reduced normal matrix H, by preconditioned conjugate gradients."""
     solve = splu(preconditioner).solve
     x = np.zeros_like(rhs)
     r = rhs.copy()
@@ -198,7 +191,7 @@ def conjugate_gradients(
     p = z.copy()
     rz = (r * z).sum(axis=0)
     limit = tolerance**2 * np.maximum(rz, 1e-300)
-    for step in range(max_steps):
+    for _ in range(max_steps):
         q = system.times(p)
         alpha = rz / np.maximum((p * q).sum(axis=0), 1e-300)
         x += alpha * p
@@ -206,10 +199,10 @@ def conjugate_gradients(
         z = solve(r)
         new = (r * z).sum(axis=0)
         if (new <= limit).all():
-            return x, step + 1
+            break
         p = z + (new / np.maximum(rz, 1e-300)) * p
         rz = new
-    return x, max_steps
+    return x
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -250,7 +243,7 @@ def refine(
         preconditioner = pose_graph_matrix(system, poses, graph)
         if iteration == ITERATIONS:
             break
-        step, _ = conjugate_gradients(system, -system.gradient[:, None], preconditioner)
+        step = conjugate_gradients(system, -system.gradient[:, None], preconditioner)
         taken = step.reshape(-1, 3)
         taken = taken * min(1.0, MAX_TURN / max(float(np.abs(taken[:, 2]).max()), 1e-9))
         poses = poses + taken

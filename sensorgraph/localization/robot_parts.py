@@ -17,6 +17,7 @@ from logs.run import Pairing, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.front_end import track_part
+from sensorgraph.localization.global_search import evenly
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.ray_times import motion_of_track
@@ -130,7 +131,7 @@ def parts_of_robot(
     motion : Motion that deskews the rays; None: no deskewing.
     """
     sensor, known = run.sensor, np.flatnonzero(pieces >= 0)
-    some = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), MAX_SCANS)).astype(np.intp))]
+    some = known[evenly(len(known), MAX_SCANS)]
     elsewhere = {i: _elsewhere(i, poses, pieces) for i in some.tolist()}
     others = np.unique([j for scans in elsewhere.values() for j in scans]).astype(np.intp)
     views = run.take_scans(others)

@@ -261,6 +261,7 @@ def crossed_by(view: View, points: Floats, margin: float) -> tuple[Bools, Bools]
 
 
 def moved_points(points: Floats, pose: Floats) -> Floats:
+    """Return points (n, 2) [m] in the frame in which `pose` (3,) is that of their own."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     moved: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
     return moved

@@ -140,7 +140,7 @@ def map_surface_errors(
 
     def fitted(errors: Floats) -> Floats:
         rhs, line = right_hand_sides(system, errors)
-        moved, _ = conjugate_gradients(system, rhs, preconditioner, TOLERANCE, MAX_STEPS)
+        moved = conjugate_gradients(system, rhs, preconditioner, TOLERANCE, MAX_STEPS)
         lines = system.inverse[:, None] * (line - system.transposed_coupling @ moved)
         k, m = errors.shape[1], len(line) // 2
         by_pose = np.einsum("ci,cik->ck", clusters.by_pose, moved.reshape(-1, 3, k)[clusters.frame])

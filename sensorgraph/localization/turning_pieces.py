@@ -105,7 +105,7 @@ class LinearisedPieces:
             [sums_of(weight[:, None] * rows.by_line * c[:, None], rows.patch, m) for c in by.T]
         )
         rhs = by_pose - system.coupling @ (system.inverse[:, None] * by_line)
-        moved, _ = conjugate_gradients(system, rhs, self.preconditioner)
+        moved = conjugate_gradients(system, rhs, self.preconditioner)
         lines = system.inverse[:, None] * (by_line - system.transposed_coupling @ moved)
         own = (
             by

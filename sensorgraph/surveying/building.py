@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
+from sensorgraph.localization.global_search import evenly
 from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.surveying.range_offset import range_offset
 from sensorgraph.types import Floats
@@ -55,7 +56,7 @@ def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
     """
     pairing = pair(run)
     index = np.flatnonzero(pairing.paired)
-    index = index[np.unique(np.linspace(0, len(index) - 1, min(MAX_SCANS, len(index))).astype(np.intp))]
+    index = index[evenly(len(index), MAX_SCANS)]
     sensor, ranges = run.sensor, run.ranges[index]
     lasers = laser_poses(pairing.poses[index], sensor.mount)
     expected, wall = cast_laser(walls, lasers, sensor.bearings, sensor.range_max)
