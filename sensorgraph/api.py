@@ -30,7 +30,15 @@ from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.identification import identify as identifying
 from sensorgraph.identification.signals import SignalData, is_table, signals_of_run, signals_of_table
-from sensorgraph.loading import arena_in, exported_arena, exported_robot, load_arena, read_poses, robot_for
+from sensorgraph.loading import (
+    arena_in,
+    exported_arena,
+    exported_robot,
+    load_arena,
+    open_place,
+    read_poses,
+    robot_for,
+)
 from sensorgraph.localization.locate import LocatedRun, located_run
 from sensorgraph.localization.locate import locate as locate_run
 from sensorgraph.models.base import Point, Prediction
@@ -141,12 +149,8 @@ def locate(
     SensorgraphError : There are too few scans, the sensor has wide cones, or the scans fit nowhere in the arena.
     """
     log = _run(run)
-    place: Any = arena
-    if isinstance(arena, str | Path):
-        is_graph = str(arena).endswith(".sensorgraph") and Path(arena).exists()
-        place = _graph(arena) if is_graph else _arena(arena)
-    name = str(arena) if isinstance(arena, str | Path) else "the map"
-    found = LocatedRun.of(log, locate_run(log, place, name=name))
+    place = open_place(arena) if isinstance(arena, str | Path) else arena
+    found = LocatedRun.of(log, locate_run(log, place, name="the map" if place is arena else str(arena)))
     if path is not None:
         logs.write(located_run(log, found), path)
     return found

@@ -65,6 +65,12 @@ def load_arena(source: str | Path) -> Arena:
     return _arena_of_log(Path(name), read_map(Path(name))) if _is_log(Path(name)) else maps.load(Path(name))
 
 
+def open_place(source: str | Path) -> Arena | Sensorgraph:
+    """Open a sensorgraph by its file, or load an arena as `load_arena` does."""
+    is_graph = str(source).endswith(".sensorgraph") and Path(source).exists()
+    return Sensorgraph.load(Path(source)) if is_graph else load_arena(source)
+
+
 def _is_log(path: Path) -> bool:
     """Return whether a file is a log and no map."""
     if path.is_file() and path.suffix.lower() in maps.MAPS:
@@ -193,17 +199,11 @@ def exported_arena(
     source: Arena | Sensorgraph | Path | str,
 ) -> tuple[Arena, Sensorgraph | None, Robot | None]:
     """Return the arena of an export, the sensorgraph that it is from, and the robot that is kept with it in a log."""
-    if isinstance(source, Arena):
-        return source, None, None
-    if isinstance(source, Sensorgraph):
-        return arena_of(source), source, None
-    path = Path(source)
-    if path.exists() and path.suffix == ".sensorgraph":
-        return exported_arena(Sensorgraph.load(path))
-    if path.exists() and _is_log(path):
-        found = read_map(path)
-        return _arena_of_log(path, found), None, _robot_of(found.robot, str(path))
-    return load_arena(source), None, None
+    if isinstance(source, str | Path) and Path(source).exists() and _is_log(Path(source)):
+        found = read_map(Path(source))
+        return _arena_of_log(Path(source), found), None, _robot_of(found.robot, str(source))
+    place = open_place(source) if isinstance(source, str | Path) else source
+    return (arena_of(place), place, None) if isinstance(place, Sensorgraph) else (place, None, None)
 
 
 def exported_robot(

@@ -3,23 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from sensorgraph.cli.options import (
-    NoReturn,
-    RunFile,
-    RunRobot,
-    Slice,
-    Topics,
-)
-
-if TYPE_CHECKING:
-    from planners.arena import Arena
-    from sensorgraph.graph import Sensorgraph
-    from sensorgraph.types import Floats
-
+from sensorgraph.cli.options import NoReturn, RunFile, RunRobot, Slice, Topics
 
 LocateArena = Annotated[
     str | None,
@@ -89,14 +77,15 @@ def locate(
         write_json,
     )
     from sensorgraph.cli.progress import progress
-    from sensorgraph.localization.locate import LocatedRun, poses_csv, summary, summary_lines
+    from sensorgraph.loading import open_place
+    from sensorgraph.localization.locate import LocatedRun, poses_csv, summary, summary_lines, walls_of_place
     from sensorgraph.localization.locate import locate as locate_run
     from sensorgraph.show.figures.localization import localization_picture
 
     for path, suffix in ((out, ".mcap"), (csv, None), (json, None), (picture, ".png")):
         if path is not None:
             check_output(path, run, suffix=suffix)
-    place = None if arena is None else _place(arena)
+    place = None if arena is None else open_place(arena)
     log = read_run(run, read_options(topic, no_return, robot, heights), robot)
     found = locate_run(log, place, name=arena or "the map", progress=noted(progress, log))
     print_log_notes(log)
@@ -108,7 +97,9 @@ def locate(
     if json is not None:
         write_json(json, summary(found))
     if picture is not None:
-        localization_picture(log, found, picture, walls=_walls(place))
+        localization_picture(
+            log, found, picture, walls=None if place is None else walls_of_place(place).walls
+        )
     if out is not None:
         with progress("writing", "messages") as tick:
             write(LocatedRun.of(log, found).run, out, progress=tick)
@@ -122,22 +113,3 @@ def locate(
         if written
         else "no file written; give -o OUT.mcap, --csv, --json or --picture"
     )
-
-
-def _place(arena: str) -> Arena | Sensorgraph:
-    """Open a map or a graph."""
-    from sensorgraph.graph import Sensorgraph
-    from sensorgraph.loading import load_arena
-
-    if arena.endswith(".sensorgraph") and Path(arena).exists():
-        return Sensorgraph.load(Path(arena))
-    return load_arena(arena)
-
-
-def _walls(place: Arena | Sensorgraph | None) -> Floats | None:
-    from sensorgraph.graph import Sensorgraph
-    from sensorgraph.localization.graph_walls import walls_of_graph
-
-    if place is None:
-        return None
-    return walls_of_graph(place)[0] if isinstance(place, Sensorgraph) else place.walls

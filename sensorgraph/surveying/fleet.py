@@ -15,8 +15,7 @@ import numpy as np
 
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.files import atomic_folder
-from sensorgraph.graph import Sensorgraph
-from sensorgraph.loading import load_arena
+from sensorgraph.loading import open_place
 from sensorgraph.localization.locate import walls_of_place
 from sensorgraph.surveying.causes import MEASURED, SHOWN_IN, CausedStep, Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, surveyed
@@ -28,7 +27,7 @@ from sensorgraph.surveying.rerun_layer import write_layer
 from sensorgraph.surveying.result import Fleet, RobotChange
 from sensorgraph.surveying.store import ResultStore, find_logs
 from sensorgraph.surveying.trends import POSSIBLE, SURE, OddRobot, level, odd_robots, steps_of
-from sensorgraph.types import Floats, Progress
+from sensorgraph.types import Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import load_robot
 
@@ -81,7 +80,7 @@ def fleet(
     paths = find_logs([logs] if isinstance(logs, str | Path) else list(logs))
     given = [places] if isinstance(places, str | Path) else list(places)
     known = {str(Path(one).absolute() if Path(one).exists() else one): one for one in given}
-    walls = {Path(name).name: _walls_of(name) for name in known}
+    walls = {Path(name).name: walls_of_place(open_place(name)).walls for name in known}
     if len(walls) < len(known):
         raise SensorgraphError("two places have the same file name; rename one of them")
     _check(robot, pattern)
@@ -180,11 +179,6 @@ def _shared(
         "pattern": pattern,
         "topics": dict(topics),
     }
-
-
-def _walls_of(place: str) -> Floats:
-    opened = Sensorgraph.load(Path(place)) if place.endswith(".sensorgraph") else load_arena(place)
-    return walls_of_place(opened).walls
 
 
 def _settings(shared: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,13 +12,11 @@ import numpy as np
 
 from logs.inspection import Inspection, inspect
 from logs.run import Run
-from planners.arena import Arena
 from sensorgraph.diagnosis.motion.calibration.driving import diagnose_driving
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration
 from sensorgraph.diagnosis.without_reference import with_described_mount
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.graph import Sensorgraph
-from sensorgraph.loading import load_arena, robot_in
+from sensorgraph.loading import open_place, robot_in
 from sensorgraph.localization.known_map import KnownMap, MapWalls, known_map
 from sensorgraph.localization.locate import locate, located_run, walls_of_place
 from sensorgraph.localization.map_check import best_fit, looks
@@ -105,9 +103,7 @@ def _robot_name(path: Path, pattern: str | None, machine: Robot | None, frames: 
     return path.absolute().parent.name
 
 
-@lru_cache(PLACES_AT_ONCE)
-def _opened(place: str) -> Arena | Sensorgraph:
-    return Sensorgraph.load(Path(place)) if place.endswith(".sensorgraph") else load_arena(place)
+_opened = lru_cache(PLACES_AT_ONCE)(open_place)
 
 
 @lru_cache(PLACES_AT_ONCE)
