@@ -33,20 +33,14 @@ def find_logs(sources: Sequence[Path | str]) -> list[Path]:
     found: dict[Path, None] = {}
     for source in sources:
         path = Path(source)
-        if path.exists():
-            new = [path] if path.is_file() or (path / "metadata.yaml").is_file() else list(_below(path))
-        else:
-            root = Path(path.anchor) if path.is_absolute() else Path()
-            parts = str(path.relative_to(root)) if path.is_absolute() else str(path)
-            matched = sorted(root.glob(parts)) if any(one in parts for one in "*?[") else []
-            if not matched:
-                raise SensorgraphError(f"{source} does not exist, expected a log, a folder or a pattern")
-            new = [
-                log
-                for one in matched
-                for log in ([one] if one.is_file() or (one / "metadata.yaml").is_file() else _below(one))
-            ]
-        found.update(dict.fromkeys(new))
+        root = Path(path.anchor)
+        parts = str(path.relative_to(root))
+        matched = [path] if path.exists() else []
+        if not matched and any(one in parts for one in "*?["):
+            matched = sorted(root.glob(parts))
+        if not matched:
+            raise SensorgraphError(f"{source} does not exist, expected a log, a folder or a pattern")
+        found.update(dict.fromkeys(log for one in matched for log in _logs_in(one)))
     if not found:
         raise SensorgraphError(
             f"no log in {', '.join(map(str, sources))}; expected files such as *.mcap, *.bag, *.log or rosbag2 folders"
@@ -54,9 +48,11 @@ def find_logs(sources: Sequence[Path | str]) -> list[Path]:
     return sorted(found)
 
 
-def _below(folder: Path) -> Iterable[Path]:
-    """Yield the logs in a folder and its sub-folders."""
-    for root, folders, names in os.walk(folder):
+def _logs_in(path: Path) -> Iterable[Path]:
+    """Yield a log, or the logs in a folder and its sub-folders."""
+    if path.is_file():
+        yield path
+    for root, folders, names in os.walk(path):
         folders.sort()
         if "metadata.yaml" in names:
             folders.clear()

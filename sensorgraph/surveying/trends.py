@@ -190,7 +190,8 @@ def _split(
             )
         ]
     k = int(np.argmax(by_place))
-    (one, one_error), (two, two_error) = grid_mean(grid, a, a + k + 1), grid_mean(grid, a + k + 1, b)
+    sides = (a, a + k + 1), (a + k + 1, b)
+    (one, one_error), (two, two_error) = (grid_mean(grid, *side) for side in sides)
     found = TrendStep(
         quantity=quantity,
         before=a + k,
@@ -198,10 +199,7 @@ def _split(
         sigma=float(np.hypot(one_error, two_error)),
         probability=p_change,
     )
-    inner = _split(quantity, grid, a, a + k + 1, t, is_whole=False) + _split(
-        quantity, grid, a + k + 1, b, t, is_whole=False
-    )
-    return [found, *inner]
+    return [found, *(one for side in sides for one in _split(quantity, grid, *side, t, is_whole=False))]
 
 
 def _matrix(log_a: Floats, log_b: Floats) -> Floats:
@@ -215,17 +213,12 @@ def _over_scatter(log_evidence: Floats) -> float:
     return float(logsumexp(log_evidence) - np.log(len(log_evidence)))
 
 
-def _slopes(grid: _Grid, t: Floats) -> tuple[Floats, Floats]:
-    """Return the slopes [per whole time], with their log weights."""
-    slopes = np.linspace(-3, 3, N_SLOPES) * grid.width
-    weights = -0.5 * (slopes / grid.width) ** 2
-    return slopes, weights - logsumexp(weights)
-
-
 def _drift(grid: _Grid, a: int, b: int, t: Floats, prior: Floats) -> float:
     """Return the log evidence of a drift in time."""
     share = (t[a:b] - t[a]) / max(t[b - 1] - t[a], 1e-9) - 0.5
-    slopes, weights = _slopes(grid, t)
+    slopes = np.linspace(-3, 3, N_SLOPES) * grid.width  # per whole time
+    weights = -0.5 * (slopes / grid.width) ** 2
+    weights -= logsumexp(weights)
     out = []
     for slope, weight in zip(slopes, weights, strict=True):
         off = (grid.values[a:b] - slope * share)[:, None, None] - grid.centres[:, None]
@@ -273,14 +266,10 @@ def odd_robots(quantity: str, levels: Mapping[str, tuple[float, float]]) -> list
         grid = _Grid.of(others[:, 0], others[:, 1], width, LEVEL_DEGREES)
         weight = grid.log_likelihood.sum(axis=0) + grid.prior(float(np.median(others[:, 0])))[:, None]
         weight = weight - logsumexp(weight)  # (n_grid, n_scatter): centre and spread of the others
-        same = logsumexp(
-            weight + _student(value - grid.centres[:, None], np.array(sigma), grid.scatters, LEVEL_DEGREES)
-        )
-        own = logsumexp(
-            weight
-            + _student(
-                value - grid.centres[:, None], np.array(np.hypot(sigma, width)), grid.scatters, LEVEL_DEGREES
-            )
+        off = value - grid.centres[:, None]
+        same, own = (
+            logsumexp(weight + _student(off, np.array(error), grid.scatters, LEVEL_DEGREES))
+            for error in (sigma, np.hypot(sigma, width))
         )
         odds = np.log(PRIOR_ODD / (1 - PRIOR_ODD)) + own - same
         probability = float(1 / (1 + np.exp(-odds)))
