@@ -41,7 +41,7 @@ def test_time_left_follows_from_what_was_done_since_the_stage_began(
 ) -> None:
     now = 100.0
     monkeypatch.setattr(shown.time, "monotonic", lambda: now)
-    monkeypatch.setattr(shown._PlainLines, "last", 99.0)
+    monkeypatch.setattr(shown.PlainLines, "last", 99.0)
     with shown.progress("reading", "scans") as tick:
         tick(1000, 4000)  # done before the clock started
         now = 110.0
@@ -76,7 +76,7 @@ def test_a_stage_that_counts_nothing_is_named_while_it_lasts(
 def test_reading_shows_a_share_whatever_a_format_counts(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(shown._PlainLines, "last", -100.0)
+    monkeypatch.setattr(shown.PlainLines, "last", -100.0)
     with shown.reading_bar() as tick:
         tick(30_000_000, 75_897_781)
     assert capsys.readouterr().err == "reading: 39 %\n"

@@ -39,7 +39,7 @@ def test_what_is_planned_is_said_and_how_good_it_is() -> None:
 def test_what_is_worked_on_stands_beside_the_name(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(told._PlainLines, "last", -100.0)
+    monkeypatch.setattr(told.PlainLines, "last", -100.0)
     with told.progress_with_status("planning", "bins") as (tick, set_status):
         set_status("searching 3 rooms")
         tick(10, 40)

@@ -69,7 +69,7 @@ def amend(
     if out is not None and dry_run:
         raise SensorgraphError("--out and --dry-run are both given; give only one of them")
     if out is not None:
-        _check_out(out, files, [effects, *([] if run is None else [run])])
+        _check_out(out, files, [effects, run])
     log, walls = (None, None) if run is None else _log(run, arena)
     found = amend_files(files, effects, run=log, arena=walls, laser=laser)
     typer.echo(found.diff)
@@ -82,7 +82,7 @@ def amend(
         typer.echo(f"wrote {path}")
 
 
-def _check_out(out: Path, files: list[Path], others: list[Path]) -> None:
+def _check_out(out: Path, files: list[Path], others: list[Path | None]) -> None:
     """Refuse an output that cannot be written, or that is one of the inputs."""
     from sensorgraph.cli.inputs import check_folder, check_output
 

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sensorgraph.cli.messages import print_warnings
-from sensorgraph.cli.options import (
-    Force,
-    NoReturn,
-    PosesFrom,
-    RunRobot,
-    Slice,
-    Topics,
-)
+from sensorgraph.cli.options import Force, NoReturn, PosesFrom, RunRobot, Slice, Topics
 from sensorgraph.cli.progress import progress, reading_bar
 
 if TYPE_CHECKING:
@@ -119,12 +112,11 @@ def build(
     """
     from sensorgraph.building.build import build as build_graph
     from sensorgraph.building.dask_cluster import cluster
-    from sensorgraph.cli.inputs import check_output, check_poses, check_runs, print_ray_order, read_options
+    from sensorgraph.cli.inputs import check_output, check_runs, print_ray_order, read_options
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
 
-    check_poses(poses)
     check_output(output, *runs)
     check_runs(runs)
     _check_model(model, MODELS, is_update=update is not None, with_arena=arena is not None)

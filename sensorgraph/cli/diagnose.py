@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sensorgraph.cli.options import (
-    Force,
-    NoReturn,
-    PosesFrom,
-    Slice,
-    Topics,
-)
+from sensorgraph.cli.options import Force, NoReturn, PosesFrom, Slice, Topics
 
 if TYPE_CHECKING:
     from logs.run import Run
@@ -116,7 +110,7 @@ def diagnose(
     from sensorgraph.diagnosis.report.files import save_diagnosis
     from sensorgraph.diagnosis.without_reference import driving_of, with_described_mount, with_driving
 
-    _check(runs, simulation, commissioning, out, poses, why)
+    _check(runs, simulation, commissioning, out, why)
     reading = read_options(topic, no_return, robot, heights)
     loaded = [read_run(path, reading) for path in runs]
     if arena is None and not (effects or commissioning or simulation) and _have_no_arena(loaded):
@@ -248,11 +242,10 @@ def _check(
     simulation: Path | None,
     commissioning: Sequence[Path] | None,
     out: Path,
-    poses: str | None,
     why: str | None,
 ) -> None:
     """Refuse contradictory arguments before any file is read."""
-    from sensorgraph.cli.inputs import check_folder, check_poses
+    from sensorgraph.cli.inputs import check_folder
     from sensorgraph.diagnosis.ledger import check_name
 
     if why is not None:
@@ -260,7 +253,6 @@ def _check(
     _check_runs(runs)
     _check_simulation(simulation, runs, commissioning)
     check_folder(out)
-    check_poses(poses)
 
 
 def _check_runs(runs: Sequence[Path]) -> None:

@@ -7,20 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sensorgraph.cli.options import (
-    Force,
-    GraphFile,
-    NoReturn,
-    PosesFrom,
-    RunFile,
-    RunRobot,
-    Slice,
-    Topics,
-)
+from sensorgraph.cli.options import Force, GraphFile, NoReturn, PosesFrom, RunFile, RunRobot, Slice, Topics
 from sensorgraph.cli.progress import progress
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from logs.run import Run
     from sensorgraph.evaluation.evaluate import Evaluation
@@ -106,7 +97,6 @@ def evaluate(
 
     from sensorgraph.cli.inputs import (
         check_output,
-        check_poses,
         print_log_notes,
         print_ray_order,
         read_options,
@@ -119,9 +109,8 @@ def evaluate(
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.models.base import POINTS
 
-    check_poses(poses)
     if json is not None:
-        check_output(json, graph, run, *([effects] if effects is not None else []))
+        check_output(json, graph, run, effects)
     if point is not None and point not in POINTS:
         raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
     value = cast("Point | None", point)
@@ -186,7 +175,11 @@ def table(
     beside: dict[str, Metrics] | None = None,
 ) -> list[str]:
     """Return the printed table: one column per block, and the point value used for each row."""
-    blocks = {"all": result.all, "answered": result.answered_only, **_spaced(result.in_sequence)}
+    blocks = {
+        "all": result.all,
+        "answered": result.answered_only,
+        **{k.replace("_", " "): block for k, block in result.in_sequence.items()},
+    }
     blocks |= {**(simulator or {}), **(beside or {})}
     scored = result.settings["scored"]
     lines = [
@@ -206,10 +199,6 @@ def table(
     if simulator:
         lines.append("nominal, amended: the simulator without and with the effects, on the rays of `all`")
     return lines
-
-
-def _spaced(blocks: Mapping[str, Metrics]) -> dict[str, Metrics]:
-    return {name.replace("_", " "): block for name, block in blocks.items()}
 
 
 def _row(cells: Iterable[str]) -> str:

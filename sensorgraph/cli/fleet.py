@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sensorgraph.cli.options import (
-    Topics,
-)
+from sensorgraph.cli.options import Topics
 
 FleetLogs = Annotated[
     list[str], typer.Argument(metavar="LOG|FOLDER|PATTERN...", help="Logs, folders with logs, or patterns.")

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from sensorgraph.cli.options import (
-    Topics,
-)
+from sensorgraph.cli.options import Topics
 
 if TYPE_CHECKING:
     from robotmodic_ident.validation.score import Extrapolation, Score

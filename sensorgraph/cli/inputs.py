@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from sensorgraph.world.robot import Robot
 
 
-def check_output(path: Path, *inputs: Path, suffix: str | None = None) -> None:
-    """Refuse an output path that cannot be written, is one of the inputs or lacks its suffix, before any work is done."""
+def check_output(path: Path, *inputs: Path | None, suffix: str | None = None) -> None:
+    """Refuse an output path that cannot be written, is one of the given inputs or lacks its suffix, before any work is done."""
     if path.is_dir():
         raise SensorgraphError(f"{path} is a folder; give the name of a file to write")
     if not path.parent.is_dir():
@@ -33,7 +33,7 @@ def check_output(path: Path, *inputs: Path, suffix: str | None = None) -> None:
             f"the folder {path.parent} does not exist; create it or write to another folder"
         )
     for given in inputs:
-        if path.exists() and given.exists() and path.samefile(given):
+        if given is not None and path.exists() and given.exists() and path.samefile(given):
             raise SensorgraphError(
                 f"{path} is also the input and would be overwritten; write to another file"
             )
@@ -140,14 +140,6 @@ def with_robot(run: Run, name: str, robot: Robot | Path | None, robot_name: str 
     if warning is not None:
         typer.echo(f"warning: {name}: {warning}", err=True)
     return stated
-
-
-def check_poses(poses: str | None) -> None:
-    """Refuse an unknown value of --poses."""
-    if poses not in (None, "log", "locate"):
-        raise SensorgraphError(
-            f"--poses is {poses!r}, expected log (poses in the log) or locate (from scans and wheels)"
-        )
 
 
 def with_poses(

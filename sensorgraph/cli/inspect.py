@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sensorgraph.cli.messages import with_flags
-from sensorgraph.cli.options import (
-    NoReturn,
-    RunRobot,
-    Slice,
-    Topics,
-)
+from sensorgraph.cli.options import NoReturn, RunRobot, Slice, Topics
 
 if TYPE_CHECKING:
     from logs.inspection import Inspection

@@ -45,10 +45,23 @@ Slice = Annotated[
         "Default: the ring nearest the horizontal.",
     ),
 ]
+
+
+def _check_poses(poses: str | None) -> str | None:
+    from sensorgraph.errors import SensorgraphError
+
+    if poses not in (None, "log", "locate"):
+        raise SensorgraphError(
+            f"--poses is {poses!r}, expected log (poses in the log) or locate (from scans and wheels)"
+        )
+    return poses
+
+
 PosesFrom = Annotated[
     str | None,
     typer.Option(
         "--poses",
+        callback=_check_poses,
         metavar="log|locate",
         help="log: use the poses in the log. locate: estimate them from scans and wheels. "
         "Default: locate if the log has no reference poses.",

@@ -158,14 +158,13 @@ def plan(
     """
     import logs
     from planners.maps.no_go import zones
-    from sensorgraph.cli.inputs import check_folder, check_poses, parse_pose, print_log_notes
+    from sensorgraph.cli.inputs import check_folder, parse_pose, print_log_notes
     from sensorgraph.cli.progress import progress_with_status
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.planning.plan import plan as make_plan
 
     _silence("planners.report", "planners.ompl_planner")  # their warnings are printed below
     check_folder(out)
-    check_poses(poses)
     runs = [logs.read(path) for path in resume or () if views is None]
     place = _place(arena, resume or [], runs, graph or priority)
     opened = cache(Sensorgraph.load)  # arena, --graph and --priority are often the same file

@@ -68,10 +68,10 @@ def rate_text(rate: float) -> str:
 
 def reset_silence() -> None:
     """Restart the timer of plain lines at the start of a command."""
-    _PlainLines.last = time.monotonic()
+    PlainLines.last = time.monotonic()
 
 
-class _PlainLines:
+class PlainLines:
     """Time of the last plain line, shared by all stages."""
 
     last = time.monotonic()
@@ -99,8 +99,8 @@ class _PlainStage:
         if self.first is None or done < self.done:  # a pass begins
             self.first = time.monotonic(), done
         self.done, self.total = done, total
-        if _PlainLines.are_due():
-            _PlainLines.write(self.line())
+        if PlainLines.are_due():
+            PlainLines.write(self.line())
 
     def set_status(self, text: str) -> None:
         self.label = f"{self.title}, {text}"
@@ -122,8 +122,8 @@ class _PlainStage:
     def watch(self, ended: Event) -> None:
         """Print a line whenever one is due, until the stage has ended."""
         while not ended.wait(PLAIN_EVERY / 5):
-            if _PlainLines.are_due():
-                _PlainLines.write(self.line())
+            if PlainLines.are_due():
+                PlainLines.write(self.line())
 
 
 @contextmanager

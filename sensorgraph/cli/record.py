@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sensorgraph.cli.options import (
-    Topics,
-)
+from sensorgraph.cli.options import Topics
 from sensorgraph.cli.record_live import (
     RecordDomain,
     RecordDuration,
@@ -124,7 +122,7 @@ def record(
         return
     if plan is None:
         raise SensorgraphError("nothing to drive: give a PLAN, or --live to record your own robot")
-    check_output(out, plan, *([effects] if effects is not None else []), suffix=".mcap")
+    check_output(out, plan, effects, suffix=".mcap")
     if graph is None and not controller:
         _record_drive(plan, out, arena, robot, start, effects, seed)
         return
@@ -203,7 +201,7 @@ def _record_closed_loop(
     begin = None if start is None else parse_pose(start)
     check_start(trajectory.poses[0] if begin is None else begin, walls, machine, arena_name=name)
     for file in files.values():
-        check_output(file, plan, *([] if graph_file is None else [graph_file]))
+        check_output(file, plan, graph_file)
     runs = {}
     graph_name = "" if graph_file is None else graph_file.name
     for drive in drive_closed_loop(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sensorgraph.cli.progress import PLAIN_EVERY
+from sensorgraph.cli.progress import PlainLines
 from sensorgraph.termination import TERMINATED, Terminated, allow_to_finish
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def _attachments(plan: Path | None, arena: str | None, robot: Path | None) -> di
 def _display() -> Iterator[Callable[[LiveRecording, str, float], None]]:
     """Yield a function that shows rates and gaps on stderr: a table on a terminal, lines elsewhere."""
     if not sys.stderr.isatty():
-        yield _PlainLines().show
+        yield _print_rates
         return
     from rich.console import Console
     from rich.live import Live
@@ -220,24 +220,17 @@ def _display() -> Iterator[Callable[[LiveRecording, str, float], None]]:
         yield show
 
 
-class _PlainLines:
+def _print_rates(recording: LiveRecording, state: str, elapsed: float) -> None:
     """Print the rates as one line every few seconds."""
-
-    def __init__(self) -> None:
-        self.last = time.monotonic()
-
-    def show(self, recording: LiveRecording, state: str, elapsed: float) -> None:
-        if time.monotonic() - self.last < PLAIN_EVERY:
-            return
-        self.last = time.monotonic()
-        now = time.time()
-        rates = ", ".join(f"{name} {rate.hz(now):.1f} Hz" for name, rate in recording.rates.items())
-        gaps = sum(rate.n_gaps for rate in recording.rates.values())
-        lost = sum(rate.n_lost for rate in recording.rates.values())
-        sys.stderr.write(
-            f"recording: {elapsed:.0f} s: {rates}; {gaps} gaps, {lost} lost{f'; {state}' if state else ''}\n"
-        )
-        sys.stderr.flush()
+    if not PlainLines.are_due():
+        return
+    now = time.time()
+    rates = ", ".join(f"{name} {rate.hz(now):.1f} Hz" for name, rate in recording.rates.items())
+    gaps = sum(rate.n_gaps for rate in recording.rates.values())
+    lost = sum(rate.n_lost for rate in recording.rates.values())
+    PlainLines.write(
+        f"recording: {elapsed:.0f} s: {rates}; {gaps} gaps, {lost} lost{f'; {state}' if state else ''}"
+    )
 
 
 def _table(recording: LiveRecording, state: str, elapsed: float) -> Any:

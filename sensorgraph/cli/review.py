@@ -63,7 +63,6 @@ def review(
     """
     from sensorgraph.cli.inputs import (
         check_output,
-        check_poses,
         noted,
         print_log_notes,
         read_options,
@@ -78,8 +77,7 @@ def review(
     from sensorgraph.show.rerun_file import open_viewer
     from sensorgraph.show.review.review import review as write_review
 
-    check_poses(poses)
-    check_output(out, run, *(path for path in (graph,) if path is not None), suffix=".rrd")
+    check_output(out, run, graph, suffix=".rrd")
     reading = read_options(topic, no_return, robot, heights)
     log = read_run(run, reading, robot, name=run.name)
     walls = load_arena(arena) if arena is not None else arena_in(log)

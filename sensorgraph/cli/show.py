@@ -122,7 +122,7 @@ def _draw(model: Sensorgraph, figure: Path, graph: Path, run: Path | None, topic
     from sensorgraph.cli.inputs import check_output, read_run
     from sensorgraph.show.figures.sensorgraph import graph_picture
 
-    check_output(figure, graph, *(path for path in (run,) if path is not None), suffix=".png")
+    check_output(figure, graph, run, suffix=".png")
     log = None if run is None else read_run(run, {"topics": parse_topics(topics)})
     graph_picture(model, figure, run=log)
     typer.echo(f"wrote {figure}")

@@ -144,16 +144,12 @@ def _watch_live(
 
 
 def _read(path: Path, reading: dict[str, Any], robot: Path | None) -> Run:
-    from logs import read
-    from sensorgraph.cli.inputs import with_robot
-    from sensorgraph.cli.progress import reading_bar
+    from sensorgraph.cli.inputs import read_run
     from sensorgraph.intake import check_ranges
 
-    with reading_bar() as tick:
-        run = read(path, **reading, progress=tick)
-    stated = with_robot(run, path.name, robot)  # a robot's mount replaces one that moves
-    check_ranges(stated, path.name)
-    return stated
+    run = read_run(path, reading, robot, name=path.name)
+    check_ranges(run, path.name)  # a robot's mount replaces one that moves
+    return run
 
 
 def _statuses(model: Any, run: Run, limits: WatchPolicy) -> Iterator[WatchStatus]:
