@@ -74,48 +74,33 @@ __all__ = [
     "watch",
 ]
 
-_HOMES = {
-    "EFFECTS": "sensorgraph.effects",
-    "Arena": "planners.arena",
-    "Robot": "sensorgraph.world.robot",
-    "Sensorgraph": "sensorgraph.graph",
-    "load": "sensorgraph.graph",
-    "DesignTask": "sensorgraph.identification.design_task",
-    "design": "sensorgraph.identification.design:design",
-    "amend": "sensorgraph.amending.amend",
-    "fleet": "sensorgraph.surveying.fleet",
-    "load_arena": "sensorgraph.loading",
-    "load_robot": "sensorgraph.world.robot",
-    "watch": "sensorgraph.watching.watch",
-} | dict.fromkeys(
-    (
-        "build",
-        "diagnose",
-        "evaluate",
-        "export",
-        "identify",
-        "locate",
-        "plan",
-        "predict",
-        "read",
-        "record",
-        "review",
-    ),
-    "sensorgraph.api",
-)
+_MODULES = {
+    "planners.arena": "Arena",
+    "sensorgraph.amending.amend": "amend",
+    "sensorgraph.api": "build diagnose evaluate export identify locate plan predict read record review",
+    "sensorgraph.effects": "EFFECTS",
+    "sensorgraph.graph": "Sensorgraph load",
+    "sensorgraph.identification.design": "design",
+    "sensorgraph.identification.design_task": "DesignTask",
+    "sensorgraph.loading": "load_arena",
+    "sensorgraph.surveying.fleet": "fleet",
+    "sensorgraph.watching.watch": "watch",
+    "sensorgraph.world.robot": "Robot load_robot",
+}
+"""Module -> its public names."""
 
 
 check_packages()  # before anything else can fail on a package of the same name
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name from its home when it is first used."""
+    """Import a public name from its module on first use."""
     if name == "errors":
         return import_module("sensorgraph.errors")
-    if name not in _HOMES:
+    module = next((module for module, names in _MODULES.items() if name in names.split()), None)
+    if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, attribute = _HOMES[name].partition(":")
-    found = getattr(import_module(module), attribute or name)
+    found = getattr(import_module(module), name)
     globals()[name] = found
     return found
 
