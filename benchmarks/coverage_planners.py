@@ -22,7 +22,7 @@ import argparse
 import csv
 import gzip
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +38,19 @@ from planners.maps import geojson
 from planners.types import Floats
 from planners.vehicle import DRIVES
 from sensorgraph.loading import load_arena
-from sensorgraph.show.figures.drives import growth_picture
+from sensorgraph.show.figures.style import (
+    ALARM,
+    AMBER,
+    FINE,
+    INK,
+    LINE,
+    SOLID,
+    TEAL,
+    TITLE,
+    new_figure,
+    reduce_frame,
+    save_figure,
+)
 
 RESOLUTION = 0.05
 """[m] of the raster map."""
@@ -195,6 +207,34 @@ def summary(planner: str, rows: list[dict[str, Any]]) -> None:
     )
 
 
+def _growth_picture(races: Mapping[str, Mapping[str, tuple[Floats, Floats]]], path: Path) -> None:
+    """Draw coverage over driving time, one panel per arena and one line per drive.
+
+    Parameters
+    ----------
+    races : Arena -> label -> (seconds (n,), share of the reachable bins (n,) visited by then).
+    """
+    figure = new_figure(5.2 * len(races), 3.9)
+    for number, (arena, lines) in enumerate(races.items()):
+        axes = figure.add_subplot(1, len(races), number + 1)
+        longest = max(float(stamps[-1]) for stamps, _ in lines.values())
+        unit, seconds = ("h", 3600.0) if longest > 2 * 3600 else ("min", 60.0)
+        for (label, (stamps, share)), colour in zip(
+            lines.items(), (TEAL, "#7ad151", AMBER, ALARM), strict=False
+        ):
+            name = f"{label.replace('_', ' ')}: {100 * share[-1]:.0f} %"
+            axes.plot(stamps / seconds, 100 * share, color=colour, lw=LINE, label=name)
+        axes.set(xlim=(0, None), ylim=(0, 103))
+        axes.set_title(arena, loc="left", fontsize=TITLE, color=INK)
+        axes.set_xlabel(f"driving time [{unit}]", color=INK)
+        axes.grid(color=SOLID, lw=FINE)
+        axes.legend(loc="upper left", frameon=False, fontsize=8.5, labelcolor=INK)
+        reduce_frame(axes)
+        if number == 0:
+            axes.set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
+    save_figure(figure, path)
+
+
 def race(arenas: dict[str, Arena], path: Path) -> None:
     """Draw coverage against driving time: the search, stops and spins, random bounces, wall following."""
     lines: dict[str, dict[str, tuple[Floats, Floats]]] = {}
@@ -214,7 +254,7 @@ def race(arenas: dict[str, Arena], path: Path) -> None:
         for planner, (stamps, share) in lines[name].items():
             marks = np.interp(np.array([0.25, 0.5, 0.75, 1.0]) * done, stamps, share)
             print(f"  {planner:16} " + " ".join(f"{100 * mark:6.1f} %" for mark in marks))
-    growth_picture(lines, path)
+    _growth_picture(lines, path)
     print(f"wrote {path}")
 
 

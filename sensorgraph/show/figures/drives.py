@@ -76,31 +76,3 @@ def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> No
         axes.plot(*track[0], "o", ms=7, mfc="white", mec=INK, mew=1.5, zorder=6)
         axes.set_title(name.replace("_", " "), loc="left", fontsize=TITLE, color=INK)
     save_figure(figure, path)
-
-
-def growth_picture(races: Mapping[str, Mapping[str, tuple[Floats, Floats]]], path: Path) -> None:
-    """Draw coverage over driving time, one panel per arena and one line per drive.
-
-    Parameters
-    ----------
-    races : Arena -> label -> (seconds (n,), share of the reachable bins (n,) visited by then).
-    """
-    figure = new_figure(5.2 * len(races), 3.9)
-    for number, (arena, lines) in enumerate(races.items()):
-        axes = figure.add_subplot(1, len(races), number + 1)
-        longest = max(float(stamps[-1]) for stamps, _ in lines.values())
-        unit, seconds = ("h", 3600.0) if longest > 2 * 3600 else ("min", 60.0)
-        for (label, (stamps, share)), colour in zip(
-            lines.items(), (TEAL, "#7ad151", AMBER, ALARM), strict=False
-        ):
-            name = f"{label.replace('_', ' ')}: {100 * share[-1]:.0f} %"
-            axes.plot(stamps / seconds, 100 * share, color=colour, lw=LINE, label=name)
-        axes.set(xlim=(0, None), ylim=(0, 103))
-        axes.set_title(arena, loc="left", fontsize=TITLE, color=INK)
-        axes.set_xlabel(f"driving time [{unit}]", color=INK)
-        axes.grid(color=SOLID, lw=FINE)
-        axes.legend(loc="upper left", frameon=False, fontsize=8.5, labelcolor=INK)
-        reduce_frame(axes)
-        if number == 0:
-            axes.set_ylabel("reachable (x, y, φ) bins visited [%]", color=INK)
-    save_figure(figure, path)
