@@ -14,7 +14,6 @@ from logs.errors import LogError
 from logs.formats import FORMATS, check_slice, format_of, mcap_file, rosbag
 from logs.intensities import intensity_line
 from logs.no_return import check_no_return
-from logs.ros import cdr
 from logs.ros.interpret import to_run
 from logs.ros.recording import (
     KEPT_TYPES,
@@ -210,7 +209,7 @@ def _topic(topic: Topic, start: int) -> TopicInfo:
     if topic.type in KEPT_TYPES and topic.type != TF_TYPE and topic.payloads:
         headers, frames = logged.copy(), dict[str, int]()
         raw = np.array(topic.log_times, dtype=np.int64)
-        for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+        for block in topic.blocks():
             if "sec" in block.places:
                 headers[block.index] = block.stamps_ns
                 offset = 0.0

@@ -214,8 +214,7 @@ class McapStream:
     def pieces(self) -> Iterator[Run]:
         """Read the file again and yield runs of `PIECE` scans."""
         window = _Window(self._contents, self.scan_topic)
-        for done in _steps(self.path, window.keep):
-            del done
+        for _ in _steps(self.path, window.keep):
             while window.n_scans >= PIECE + AHEAD:
                 yield self._run(window.cut(PIECE))
         if window.n_scans:

@@ -69,7 +69,7 @@ def first_echoes(topic: Topic) -> tuple[Topic, list[str]]:
     LogError : If a message is too short for the echoes that it states.
     """
     heads: dict[str, list[cdr.MessageColumns]] = {}
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+    for block in topic.blocks():
         heads.setdefault(block.strings["frame_id"], []).append(block)
     messages: list[bytes] = [b""] * len(topic.payloads)
     n_more = n_none = 0

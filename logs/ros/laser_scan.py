@@ -155,7 +155,7 @@ def read_scans(
     stamps = logged_times(topic)
     frames: dict[str, dict[ScanShape, _Group]] = {}
     n_lost = 0
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+    for block in topic.blocks():
         stamps[block.index] = block.stamps_ns
         frame, n_rays = block.strings["frame_id"].strip("/"), block.places["ranges"].count
         limits = block["limits"].astype(np.float64)

@@ -14,7 +14,6 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.no_return import apply_no_return
-from logs.ros import cdr
 from logs.ros.messages import planar_covariances
 from logs.ros.recording import (
     COVARIANCE_TOPIC,
@@ -173,7 +172,7 @@ def _scans(recording: Recording, n_rays: int, source: str) -> tuple[Stamps, Floa
     stamps = np.zeros(len(topic.payloads), dtype=np.int64)
     ranges = np.empty((len(stamps), n_rays))
     intensities = np.zeros((0, n_rays))
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+    for block in topic.blocks():
         if block.places["ranges"].count != n_rays:
             raise LogError(
                 f"{source}: a scan has {block.places['ranges'].count} ranges, but its `{METADATA_NAME}` record states "

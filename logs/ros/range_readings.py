@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.ros import cdr
 from logs.ros.laser_scan import LaserScans, clean_ranges
 from logs.ros.recording import Topic, logged_times, sort_stamps
 
@@ -19,7 +18,7 @@ def read_ranges(topic: Topic, no_return: str | None = None) -> list[LaserScans]:
     stamps = logged_times(topic)
     limits = np.full((len(topic.payloads), 4), np.nan)  # field_of_view, min_range, max_range, range
     frames: dict[str, list[np.ndarray]] = {}
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+    for block in topic.blocks():
         stamps[block.index], limits[block.index] = block.stamps_ns, block["limits"]
         frames.setdefault(block.strings["frame_id"].strip("/"), []).append(block.index)
     logged = logged_times(topic)

@@ -13,7 +13,6 @@ from math import tau
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.ros import cdr
 from logs.ros.cloud_turns import Grid, TurnScans
 from logs.ros.laser_scan import ShapeCensus
 from logs.ros.point_cloud import turn_messages
@@ -110,7 +109,7 @@ def _stream(topic: Topic) -> _Stream | None:
 
     Ranges are decoded only if the scans begin elsewhere.
     """
-    blocks = list(cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding))
+    blocks = list(topic.blocks())
     if not blocks or len({block.strings["frame_id"] for block in blocks}) > 1:
         return None
     limits = np.concatenate([block["limits"].astype(np.float64) for block in blocks])

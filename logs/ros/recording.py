@@ -100,6 +100,10 @@ class Topic:
         self.log_times += more.log_times
         self.payloads.take(more.payloads)
 
+    def blocks(self) -> Iterator[cdr.MessageColumns]:
+        """Yield the columns of the messages, one block for each layout."""
+        return cdr.unpack(self.payloads, self.type, self.name, self.encoding)
+
     @property
     def title(self) -> str:
         """The type, and the encoding of the messages if they are not those of ROS."""
@@ -304,7 +308,7 @@ def track(topic: Topic, column: str, width: int, *, absolute: bool = False) -> T
     logged = logged_times(topic)
     stamps, values = logged.copy(), np.full((n, width), np.nan)
     frames: dict[tuple[str, str], int] = {}
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+    for block in topic.blocks():
         values[block.index] = block[column]
         if "sec" in block.places:
             stamps[block.index] = block.stamps_ns
@@ -352,7 +356,7 @@ def transform_tree(recording: Recording, near: str = "") -> TransformTree:
     for topic in recording.topics.values():
         if topic.type != TF_TYPE or not topic.payloads:
             continue
-        for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+        for block in topic.blocks():
             for i in range(block.n_parts):
                 part = block.part(i)
                 key = (part.strings["frame_id"].strip("/"), part.strings["child_frame_id"].strip("/"))

@@ -128,7 +128,7 @@ def _signals(topic: Topic) -> list[tuple[str, Signal, Ints]]:
     logged = stamps.copy()
     durations = np.zeros(len(stamps))
     frames: dict[str, list[Ints]] = {}
-    for block in cdr.unpack(topic.payloads, topic.type, topic.name, topic.encoding):
+    for block in topic.blocks():
         if has_header(topic):
             stamps[block.index] = block.stamps_ns
         if topic.type == SCAN_TYPE:
