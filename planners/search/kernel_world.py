@@ -95,6 +95,20 @@ def interpolate(distance: Floats, i: int, k: int, a: float, b: float) -> float:
 
 
 @inlined_kernel
+def wanted_bin(u: float, v: float, heading_bin: int, is_core: bool, need: Bools, inner: Bools) -> int:
+    """Return the flat index of the bin in which a sample at (u, v) [cells] counts; -1 if it counts in none.
+
+    In an inner cell only samples in its middle, and in the core of the heading bin, count.
+    """
+    i, k = int(u), int(v)
+    if not need[i, k, heading_bin]:
+        return -1
+    if inner[i, k] and (abs(u - i - 0.5) > 0.25 or abs(v - k - 0.5) > 0.25 or not is_core):
+        return -1
+    return (i * need.shape[1] + k) * need.shape[2] + heading_bin
+
+
+@inlined_kernel
 def try_primitive(
     x: float,
     y: float,
@@ -121,15 +135,12 @@ def try_primitive(
     per_step, per_cell = 1.0 / step, 1.0 / world.cell
     x, y = x - world.x0, y - world.y0
     mx, my = distance.shape
-    ny, n_phi = need.shape[1], need.shape[2]
     middle = n_samples // 2
     i = int((x + offsets[h, m, j, middle, 0]) * per_step)
     k = int((y + offsets[h, m, j, middle, 1]) * per_step)
     if i < 0 or k < 0 or i >= mx or k >= my:
         return False, 0
-    if (
-        distance[i, k] < clearance + primitives.max_offset + 2.0 * step
-    ):  # otherwise no wall is near enough to matter
+    if distance[i, k] < clearance + primitives.max_offset + 2.0 * step:  # else no wall is near enough
         for s in range(n_samples + 1):
             u = (x + offsets[h, m, j, s, 0]) * per_step - 0.5
             v = (y + offsets[h, m, j, s, 1]) * per_step - 0.5
@@ -146,28 +157,19 @@ def try_primitive(
                     return False, 0
     n_covered = 0
     if primitives.stops_first[m, j]:
-        cell_u, cell_v = x * per_cell, y * per_cell
-        ci, ck, rim = int(cell_u), int(cell_v), STOP_MARGIN * per_cell
-        if (
-            need[ci, ck, primitives.heading_bin[h]]
-            and rim < cell_u - ci < 1 - rim
-            and rim < cell_v - ck < 1 - rim
-        ):
-            covered[0] = (ci * ny + ck) * n_phi + primitives.heading_bin[h]
+        u, v = x * per_cell, y * per_cell
+        i, k, rim = int(u), int(v), STOP_MARGIN * per_cell
+        heading_bin = primitives.heading_bin[h]
+        if need[i, k, heading_bin] and rim < u - i < 1 - rim and rim < v - k < 1 - rim:
+            covered[0] = (i * need.shape[1] + k) * need.shape[2] + heading_bin
             n_covered = 1
     period = primitives.sample_period[m, j]
     least = min(world.dwell, world.inner_dwell) / period + min(primitives.core_margin, 0.5)
-    every = min(
-        max(int(np.ceil(least - 1e-9)), 1), n_samples
-    )  # number of samples in the shortest stay that counts
+    every = min(max(int(np.ceil(least - 1e-9)), 1), n_samples)  # samples of the shortest stay that counts
     is_seen = False
     for s in range(every - 1, n_samples, every):
-        cell_u, cell_v = (x + offsets[h, m, j, s, 0]) * per_cell, (y + offsets[h, m, j, s, 1]) * per_cell
-        ci, ck = int(cell_u), int(cell_v)
-        if need[ci, ck, bins[h, m, j, s]] and not (
-            inner[ci, ck]
-            and (abs(cell_u - ci - 0.5) > 0.25 or abs(cell_v - ck - 0.5) > 0.25 or not core[h, m, j, s])
-        ):
+        u, v = (x + offsets[h, m, j, s, 0]) * per_cell, (y + offsets[h, m, j, s, 1]) * per_cell
+        if wanted_bin(u, v, bins[h, m, j, s], core[h, m, j, s], need, inner) >= 0:
             is_seen = True
             break
     if not is_seen:
@@ -176,15 +178,8 @@ def try_primitive(
     for s in range(n_samples + 1):
         bin_here = -1
         if s < n_samples:
-            cell_u = (x + offsets[h, m, j, s, 0]) * per_cell
-            cell_v = (y + offsets[h, m, j, s, 1]) * per_cell
-            ci, ck = int(cell_u), int(cell_v)
-            if need[ci, ck, bins[h, m, j, s]]:
-                bin_here = (ci * ny + ck) * n_phi + bins[h, m, j, s]
-                if inner[ci, ck] and (
-                    abs(cell_u - ci - 0.5) > 0.25 or abs(cell_v - ck - 0.5) > 0.25 or not core[h, m, j, s]
-                ):
-                    bin_here = -1
+            u, v = (x + offsets[h, m, j, s, 0]) * per_cell, (y + offsets[h, m, j, s, 1]) * per_cell
+            bin_here = wanted_bin(u, v, bins[h, m, j, s], core[h, m, j, s], need, inner)
         if bin_here != run_id:
             if run_id >= 0:
                 margin = primitives.core_margin if run_inner else 0.5
@@ -196,7 +191,7 @@ def try_primitive(
                     n_covered += 1
             run_id, run_start = bin_here, s
             if bin_here >= 0:
-                run_inner = inner[ci, ck]
+                run_inner = inner[int(u), int(v)]
     return True, n_covered
 
 
