@@ -11,7 +11,7 @@ from sensorgraph.diagnosis.motion.motor_model import Column, DriveModel
 from sensorgraph.diagnosis.motion.motor_simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.regression import Fit
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, above_quarters
 from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.types import Bools, Floats, Ints
@@ -35,8 +35,6 @@ ANSWER_LAGS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """[s] delays after the response to a command, at which a second response may follow."""
 RAMPS = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
 """Shares of the acceleration in robot.yaml that a base may really have."""
-QUARTERS = (0.25, 0.5, 0.75)
-"""Shares of the highest speed and turn rate, above which a gain may differ."""
 STOP_TIME = 0.25
 """[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
 ASKED_SHARE = 0.15
@@ -104,10 +102,7 @@ def _way_and_turn(rates: Floats) -> tuple[Floats, Floats]:
 
 def _gains_by_the_other(model: DriveModel, fit: Fit) -> StructureFamily:
     """Return the family of a base whose speed depends on its turn rate, or vice versa: the wheels share power."""
-    v, omega = (np.abs(x) for x in by_kind(fit.simulated, model.rows.n))
-    top_v, top_omega = max(float(v.max()), 1e-3), max(float(omega.max()), 1e-3)
-    turning = [omega > q * top_omega for q in QUARTERS]
-    driving = [v > q * top_v for q in QUARTERS]
+    driving, turning = (above_quarters(rate) for rate in by_kind(fit.simulated, model.rows.n))
     statement = "a speed that depends on the turn rate, or a turn rate that depends on the speed"
     return _gains("coupling", statement, model, fit, turning, driving)
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError
+from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
 from sensorgraph.diagnosis.motion.regression import RIDGE
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
@@ -77,6 +78,8 @@ class _Fit:
     """[nats]"""
 
 
+QUARTERS = (0.25, 0.5, 0.75)
+"""Shares of the highest speed or turn rate, above which a scale or a gain may differ."""
 Noise = tuple[WhiteningFilter, ...]
 """One filter for each kind of rows, for instance translation and rotation."""
 MAX_NOISES, MAX_ROUNDS, N_REWEIGHTED = 6, 4, 2
@@ -250,6 +253,16 @@ class StructureTest:
             price = occam - paid + family.choice_price
             out.append(TestedFamily(family=family, evidence=evidence, price=price))
         return out
+
+
+def above_quarters(rates: Floats) -> list[Bools]:
+    """Return where rates (n,) exceed each quarter of the highest one: one mask (n,) per quarter.
+
+    The highest 2 % may be errors, and do not count as the highest one.
+    """
+    size = np.abs(rates)
+    top = max(float(np.quantile(size, 0.98)), MIN_MOTION)
+    return [size > share * top for share in QUARTERS]
 
 
 def _gain(H: Floats, c: Floats) -> tuple[float, float]:

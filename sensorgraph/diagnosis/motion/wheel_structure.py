@@ -15,7 +15,7 @@ from scipy.special import gammaln
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, above_quarters
 from sensorgraph.diagnosis.motion.wheel_rows import AVERAGING_TIME, OdometryRows
 from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.robust import robust_sigma
@@ -52,10 +52,6 @@ N_JUMPS = 90
 TIGHT_TURNS = (0.3, 1.0, 3.0)
 """Distance from the middle of the axle to the centre of rotation, in half wheelbases, below which a turn
 is tight."""
-SPEED_CUTS = (0.12, 0.22, 0.32)
-"""[m/s] limits between speeds, for a robot at 0.4 m/s; proportional for a faster one."""
-RATE_CUTS = (0.25, 0.5, 0.75)
-"""[rad/s] limits between turn rates, for a robot at 1 rad/s; proportional for a faster one."""
 N_CLOCK_PIECES = 20
 """Number of pieces of the run with separate clock offsets."""
 RADIUS_FACTORS = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
@@ -175,12 +171,10 @@ def _rates(wheels: WheelIncrements) -> Floats:
 
 
 def _speeds(rates: Floats) -> list[Scale]:
-    v, omega = np.abs(rates).T
-    cuts = np.array(SPEED_CUTS) * max(1.0, float(np.quantile(v, 0.98)) / EVIDENCE.reference_speed)
-    rate_cuts = np.array(RATE_CUTS) * max(1.0, float(np.quantile(omega, 0.98)))
+    fast, turning = (above_quarters(rate) for rate in rates.T)
     parts: tuple[Part, ...] = ("distance", "turn")  # a fast car turns less than its wheels are steered
-    out: list[Scale] = [(part, v > c) for part in parts for c in cuts]
-    return out + [("turn", omega > c) for c in rate_cuts]
+    out: list[Scale] = [(part, above) for part in parts for above in fast]
+    return out + [("turn", above) for above in turning]
 
 
 def _clock_pieces(rows: OdometryRows) -> StructureFamily:
