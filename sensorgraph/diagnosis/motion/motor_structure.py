@@ -31,10 +31,10 @@ DRIVE_FAMILIES = {
 
 N_SIZES = 128
 """Number of sizes of a dead zone that are tried, for driving and for turning."""
-ANSWER_LAGS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""[s] delays after the response to a command, at which a second response may follow."""
-RAMPS = (0.03, 0.05, 0.09, 0.15, 0.25, 0.35, 0.5, 0.7)
-"""Shares of the acceleration in robot.yaml that a base may really have."""
+ANSWER_STEP, N_ANSWERS = 0.1, 8
+"""[s] delay from one possible further response to a command to the next, and their number."""
+N_RAMPS = 10
+"""Number of smaller accelerations that are tried, each the previous one over sqrt 2: down to 1/32 of that in robot.yaml."""
 STOP_TIME = 0.25
 """[s] minimum duration of such a stop: longer than a base waits for the next tick of its control loop."""
 ASKED_SHARE = 0.15
@@ -110,7 +110,7 @@ def _gains_by_the_other(model: DriveModel, fit: Fit) -> StructureFamily:
 def _answers(model: DriveModel, fit: Fit) -> StructureFamily:
     """Return the family of motors whose response is not a single lag: they ring, overshoot or creep."""
     rates = model.simulation.rates
-    late = [rates(fit.motors, later=lag) - fit.simulated for lag in ANSWER_LAGS]
+    late = [rates(fit.motors, later=ANSWER_STEP * (k + 1)) - fit.simulated for k in range(N_ANSWERS)]
     columns = [column for one in late for column in _way_and_turn(one)]
     return StructureFamily(
         kind="answer",
@@ -211,7 +211,7 @@ def _ramps(model: DriveModel, fit: Fit) -> list[StructureFamily]:
     """Return one family for each slower ramp that a base may apply to commands."""
     is_ramped = model.simulation.limit is AccelerationLimit.SET_POINT
     limit, out = AccelerationLimit.SET_POINT if is_ramped else AccelerationLimit.MOTORS, []
-    for share in RAMPS:
+    for share in np.power(2.0, -np.arange(1, N_RAMPS + 1) / 2).tolist():
         columns = _way_and_turn(
             model.simulation.rates_of(fit.motors, limit=limit, share=share) - fit.simulated
         )
@@ -221,7 +221,7 @@ def _ramps(model: DriveModel, fit: Fit) -> list[StructureFamily]:
                 columns=model.rows.masked(np.stack(columns, axis=1)),
                 sigma=1.0,
                 statement=f"a slower change of speed: the base accelerates at about {100 * share:.0f} % of the limit in robot.yaml",
-                choice_price=float(np.log(len(RAMPS))),
+                choice_price=float(np.log(N_RAMPS)),
             )
         )
     return out

@@ -54,14 +54,15 @@ TIGHT_TURNS = (0.3, 1.0, 3.0)
 is tight."""
 N_CLOCK_PIECES = 20
 """Number of pieces of the run with separate clock offsets."""
-RADIUS_FACTORS = (0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03)
-"""Factors of the wheel radius in robot.yaml, for the count of turns; 1 % of 60 m is one turn."""
+MAX_RADIUS_ERROR, N_RADII = 0.03, 7
+"""Maximum relative error of the wheel radius in robot.yaml, and number of radii for the count of turns; 1 % of 60 m is one
+turn."""
 HIGHEST_WAVE = 5
 """Exclusive upper limit of the half waves of a distorted yaw along each axis."""
 HIGHEST_POWER = 4
 """Exclusive upper limit of the powers of a distorted position, along each axis and of both together."""
-N_REFERENCE_JUMPS = (1, 2, 4, 8, 16)
-"""Numbers of jumps of the reference that are tried, each within a tenth of a second."""
+N_REFERENCE_JUMPS = 5
+"""How many numbers of jumps of the reference are tried: 1, 2, 4, ... jumps, each within a tenth of a second."""
 
 
 def odometry_families(
@@ -197,8 +198,8 @@ def _turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
     """
     left, right = wheels.sides(size.base)
     nothing, out = np.zeros(len(left)), list[StructureFamily]()
-    for factor in RADIUS_FACTORS:
-        radius = factor * size.radius
+    for error in np.linspace(-MAX_RADIUS_ERROR, MAX_RADIUS_ERROR, N_RADII).tolist():
+        radius = (1 + error) * size.radius
         columns = [rows.of_sides(lost, nothing, size.base) for lost in _by_angle(left, radius)]
         columns += [rows.of_sides(nothing, lost, size.base) for lost in _by_angle(right, radius)]
         out.append(
@@ -206,7 +207,7 @@ def _turns_of_a_wheel(rows: OdometryRows, wheels: WheelIncrements, size: Wheels)
                 kind="turns of a wheel",
                 columns=np.stack(columns, axis=1),
                 statement="an error that repeats with every turn of a wheel: it is out of round, or its encoder is misaligned",
-                choice_price=float(np.log(len(RADIUS_FACTORS))),
+                choice_price=float(np.log(N_RADII)),
             )
         )
     return out
@@ -328,8 +329,8 @@ def reference_jumps(rows: OdometryRows, residual: Floats) -> list[StructureFamil
     for part in by_kind(residual, rows.n)[:2]:
         size += (part / (robust_sigma(part[rows.valid]) + 1e-12)) ** 2
     largest = np.argsort(-np.where(rows.valid, size, 0.0))
-    out = []
-    for k in N_REFERENCE_JUMPS:
+    out = list[StructureFamily]()
+    for k in (2**i for i in range(N_REFERENCE_JUMPS)):
         columns = np.zeros((3 * rows.n, 2 * k))
         columns[largest[:k], np.arange(k)] = columns[rows.n + largest[:k], k + np.arange(k)] = 1.0
         out.append(
