@@ -26,10 +26,6 @@ from sensorgraph.world.robot import Robot
 
 MAX_LOGIT = 6.0
 """Bound of the unconstrained noise parameters: a ratio of e⁶ : 1 is practically a limit."""
-FIRST_GUESS = (-0.5, -2.0, 0.0, -0.7)
-"""Of log white, and the logits of wander, memory and walk."""
-FIRST_SIMPLEX = (0.7, 1.5, 1.5, 1.0)
-"""Edge lengths of the first simplex."""
 MIN_INNOVATION = 1e-6
 """Minimum share of the variance that the past does not predict."""
 MAX_WALK = 3.0
@@ -101,7 +97,8 @@ def fit_limited_noise(
 ) -> tuple[WhiteningFilter, Floats]:
     """Return the most likely noise within limits, and its parameters (4,), from which the next fit can start.
 
-    The parameters minimise `robust_misfit`, found by the simplex method of Nelder and Mead.
+    The parameters minimise `robust_misfit`, found by the simplex method of Nelder and Mead. They are log white, and the
+    logits of wander, memory and walk in units of their limits; the search starts at 0, half of each limit.
     """
 
     def autocovariance(p: Floats) -> Floats:
@@ -116,9 +113,9 @@ def fit_limited_noise(
     def misfit(p: Floats) -> float:
         return robust_misfit(autocovariance(p), MIN_INNOVATION, residual, valid, EVIDENCE.huber_limit)
 
-    first: Floats = np.array(FIRST_GUESS) if start is None else start
+    first: Floats = np.zeros(4) if start is None else start
     options: Any = {
-        "initial_simplex": np.concatenate([first[None], first + np.diag(FIRST_SIMPLEX)]),
+        "initial_simplex": np.concatenate([first[None], first + np.eye(4)]),
         "maxfev": 90 if start is None else 60,
         "fatol": 0.3,
         "xatol": 0.05,
