@@ -9,11 +9,11 @@ import numpy as np
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.types import Floats
 
-MIN_DRIFT = 0.05
-"""[m] position error after that time, above which it matters to a user. For a robot at 0.4 m/s;
-proportional to its speed."""
-MIN_SPEED_ERROR = 0.005
-"""[m/s] speed error of the wheels, above which it matters to a user; also proportional to the speed."""
+MIN_DRIFT = 0.002
+"""Position error after a minute of dead reckoning, above which it matters to a user, as a share of the distance at top speed:
+5 cm for a robot at 0.4 m/s."""
+MIN_SPEED_ERROR = 0.0125
+"""Speed error of the wheels, above which it matters to a user, as a share of the top speed: 5 mm/s for a robot at 0.4 m/s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +38,11 @@ class SimulationError:
 
         Parameters
         ----------
-        top_speed : [m/s] Of the robot. The limits are proportional to it.
+        top_speed : [m/s] Of the robot.
         evidence : [nats] That the error is not zero.
         """
-        factor = top_speed / EVIDENCE.reference_speed
-        drift, speed = sure_share(evidence) * self.drift, sure_share(evidence) * self.speed
-        return drift > MIN_DRIFT * factor or speed > MIN_SPEED_ERROR * factor
+        way, sure = top_speed * EVIDENCE.reckoning_time, sure_share(evidence)
+        return sure * self.drift > MIN_DRIFT * way or sure * self.speed > MIN_SPEED_ERROR * top_speed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,8 +37,6 @@ class EvidenceSettings:
     more accurate than the wheels."""
     reckoning_time: float = 60.0
     """[s] duration of dead reckoning, after which the error of a simulation is evaluated."""
-    reference_speed: float = 0.4
-    """[m/s] speed of the robot for which these limits hold."""
     min_reference_error: float = 0.005
     """[m, rad] distortion of the reference poses over the place, above which it matters to a user."""
     n_pieces: int = 6
