@@ -52,8 +52,6 @@ N_JUMPS = 90
 TIGHT_TURNS = (0.3, 1.0, 3.0)
 """Distance from the middle of the axle to the centre of rotation, in half wheelbases, below which a turn
 is tight."""
-N_CLOCK_PIECES = 20
-"""Number of pieces of the run with separate clock offsets."""
 MAX_RADIUS_ERROR, N_RADII = 0.03, 7
 """Maximum relative error of the wheel radius in robot.yaml, and number of radii for the count of turns; 1 % of 60 m is one
 turn."""
@@ -180,9 +178,9 @@ def _speeds(rates: Floats) -> list[Scale]:
 
 def _clock_pieces(rows: OdometryRows) -> StructureFamily:
     """Return the family of clock offsets that change over time."""
-    share = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps)
-    piece = np.clip((N_CLOCK_PIECES * share).astype(np.intp), 0, N_CLOCK_PIECES - 1)
-    columns = [rows.of_kinds(*((piece == k)[:, None] * rows.slopes).T) for k in range(N_CLOCK_PIECES)]
+    share, n = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps), EVIDENCE.n_pieces
+    piece = np.clip((n * share).astype(np.intp), 0, n - 1)
+    columns = [rows.of_kinds(*((piece == k)[:, None] * rows.slopes).T) for k in range(n)]
     return StructureFamily(
         kind="clock",
         columns=np.stack(columns, axis=1),
