@@ -19,19 +19,14 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.engine.ledger import Ledger, Verdict
 from sensorgraph.diagnosis.motion.calibration.comparison import Change, change_within, compare
-from sensorgraph.diagnosis.motion.calibration.driving import (
-    DrivingFinding,
-    change_lines,
-    driving_ledger,
-    effects_of,
-    lines_of,
-    verdict,
-)
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, change_lines, lines_of, verdict
+from sensorgraph.diagnosis.motion.calibration.effects import effects_of
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import LaserMotion
 from sensorgraph.diagnosis.report.files import save_driving, save_report
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.diagnosis.without_reference import driving_of, with_driving
+from sensorgraph.effects import EFFECTS
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import parse_robot
@@ -238,6 +233,8 @@ def test_in_a_known_place_driving_alone_stands_in_for_the_odometry_channel(
     assert with_driving(finding, None, robot) is finding
     told = with_driving(finding, finding_of(run=untouched), robot)
     assert "mount_xy" in {a.name for a in told.effects}
+    (mount,) = (one for one in told.ledger.of("mount_xy") if one.verdict is Verdict.NAMED)
+    assert mount.facts.evidence is not None and "its evidence is" in mount.reason
     save_report(told, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["calibration"][0]["parameters"]["mount_x"]["value"] == pytest.approx(MOUNT[0], abs=0.01)
@@ -290,12 +287,19 @@ def test_wheels_of_a_located_run_that_driving_alone_cannot_tell_are_not_looked_a
     assert told.channels["odometry"].skipped.endswith("drive longer")
 
 
-def test_the_ledger_of_driving_alone_says_of_each_effect_what_decided() -> None:
-    motion = drive(turns=1.03)
-    found = calibrate(motion)
-    finding = DrivingFinding(
-        runs={"run": found}, changes={"run": None}, differences=(), effects=effects_of(found, BASE), base=BASE
+def alone(found: DrivingCalibration, change: Change | None = None) -> DrivingFinding:
+    """Return the finding of one run."""
+    return DrivingFinding(
+        runs={"run": found},
+        changes={"run": change},
+        differences=(),
+        effects=effects_of(found, BASE),
+        base=BASE,
     )
+
+
+def test_the_ledger_of_driving_alone_says_of_each_effect_what_decided() -> None:
+    finding = alone(calibrate(drive(turns=1.03)))
     verdicts = {entry.name: entry.verdict for entry in finding.ledger}
     assert {name for name, one in verdicts.items() if one is Verdict.NAMED} == {
         a.name for a in finding.effects
@@ -311,7 +315,12 @@ def test_the_ledger_of_driving_alone_says_of_each_effect_what_decided() -> None:
 
 def test_a_change_during_the_drive_is_the_unknown_of_its_ledger() -> None:
     found, change = changed()
-    (entry,) = (one for one in driving_ledger(found, change, BASE) if one.verdict is Verdict.UNKNOWN)
+    (entry,) = (one for one in alone(found, change).ledger if one.verdict is Verdict.UNKNOWN)
     assert entry.name == "wheels_jump" and "turn scale" in entry.estimate
-    short = driving_ledger(calibrate(drive(n=900)), None, BASE).of("wheels_jump")[0]
+    short = alone(calibrate(drive(n=900))).ledger.of("wheels_jump")[0]
     assert "too short" in short.reason
+
+
+def test_the_ledger_of_driving_alone_lists_each_effect_once_and_no_family_that_it_did_not_test() -> None:
+    names = [entry.name for entry in alone(*changed()).ledger]
+    assert sorted(names) == sorted([*EFFECTS, "wheels_jump"])

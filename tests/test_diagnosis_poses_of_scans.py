@@ -15,7 +15,8 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.engine.ledger import Ledger
 from sensorgraph.diagnosis.finding import Finding
-from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, effects_of, lines_of
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, lines_of
+from sensorgraph.diagnosis.motion.calibration.effects import effects_of
 from sensorgraph.diagnosis.motion.calibration.estimate import (
     N_ALL,
     PARAMETERS,

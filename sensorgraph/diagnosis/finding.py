@@ -111,12 +111,7 @@ def misaligned(
     Only effects of wheels and mount are named, from driving alone: this needs no arena.
     """
     skipped = "the arena does not fit the run; correct the arena first"
-    wheels = ChannelResult(channel="odometry", skipped=skipped)
-    if driving is not None:
-        notes = {"calibration": "from driving alone"}
-        wheels = ChannelResult(
-            channel="odometry", effects=driving.effects, not_observable=driving.hidden, notes=notes
-        )
+    wheels = ChannelResult(channel="odometry", skipped=skipped) if driving is None else driving.channel
     return Finding(
         channels={
             "scan": ChannelResult(channel="scan", unknown=problem),

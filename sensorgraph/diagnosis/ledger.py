@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import replace
 
 from sensorgraph.diagnosis.engine.ledger import (
@@ -47,13 +47,26 @@ def check_name(name: str) -> None:
 
 
 def ledger_of(channels: Mapping[str, ChannelResult]) -> Ledger:
-    """Return the ledger of the channels of a finding, each with all effects of the library that it knows."""
-    return Ledger(entries=tuple(entry for result in channels.values() for entry in _entries(result)))
+    """Return the ledger of the channels of a finding, each with all effects of the library that it knows.
+
+    An effect that another channel considered in place of its own is listed once, as in the calibration from driving alone.
+    """
+    tried = {channel: {one.name for one in result.considered} for channel, result in channels.items()}
+    entries = list[Entry]()
+    for channel, result in channels.items():
+        elsewhere = set[str]().union(*(names for other, names in tried.items() if other != channel))
+        entries += _entries(result, elsewhere - tried[channel])
+    return Ledger(entries=tuple(entries))
 
 
-def _entries(result: ChannelResult) -> Iterator[Entry]:
-    """Yield the effects of a channel that were accepted, then the others, then families without a name."""
-    taken = set[str]()
+def _entries(result: ChannelResult, elsewhere: Set[str]) -> Iterator[Entry]:
+    """Yield the effects of a channel that were accepted, then the others, then families without a name.
+
+    Parameters
+    ----------
+    elsewhere : Effects that only other channels considered.
+    """
+    taken = set(elsewhere)
     for entry in _accepted(result):
         taken.add(entry.name)
         yield entry
@@ -120,15 +133,13 @@ def _not_accepted(result: ChannelResult, effect: Effect, entry: Entry | None) ->
 
 def _why_idle(result: ChannelResult, usual: str) -> str:
     """Return why a hypothesis was not tried: the usual reason, unless the channel tried none."""
-    if result.skipped or result.considered:
+    if "calibration" in result.notes:
+        return "the calibration from driving alone shows no material size"
+    if result.unknown is None or result.considered:
         return result.skipped or usual
-    if result.unknown is not None:  # an arena of another place, odometry that counts backwards
-        return result.unknown.statement
     return (
-        "the calibration from driving alone shows no material size"
-        if "calibration" in result.notes
-        else usual
-    )
+        result.skipped or result.unknown.statement
+    )  # an arena of another place, odometry that counts backwards
 
 
 def _unlisted(result: ChannelResult) -> Entry:

@@ -12,13 +12,8 @@ from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.comparison import ABSORBED, QUANTITIES
-from sensorgraph.diagnosis.motion.calibration.driving import (
-    SURE,
-    DrivingFinding,
-    check_odometry,
-    diagnose_driving,
-    effects_of,
-)
+from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, check_odometry, diagnose_driving
+from sensorgraph.diagnosis.motion.calibration.effects import SURE, effects_of
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
@@ -174,18 +169,18 @@ def with_driving(finding: Finding, driving: DrivingFinding | str | None, robot: 
         finding = _with_stretch(finding, stretch, wrong)
     if driving is None:
         return finding
-    beside = finding.channels["odometry"]
+    beside, alone = finding.channels["odometry"], driving.channel
     # a slippery patch is local, which the calibration of a whole run does not show
     slips = [a for a in beside.effects if a.effect is WHEEL_SLIP]
-    odometry = ChannelResult(
-        channel="odometry",
-        effects=(*driving.effects, *slips),
+    odometry = replace(
+        alone,
+        effects=(*alone.effects, *slips),
+        considered=(*alone.considered, *(one for one in beside.considered if one.name == WHEEL_SLIP.name)),
         not_observable={
-            **driving.hidden,
+            **alone.not_observable,
             **ABSORBED,
             **{k: why for k, why in beside.not_observable.items() if k == WHEEL_SLIP.name},
         },
-        notes={"calibration": "from driving alone"},
         motion=beside.motion if slips else None,
     )
     return replace(finding, channels={**finding.channels, "odometry": odometry}, driving=driving)

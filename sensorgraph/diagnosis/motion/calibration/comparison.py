@@ -154,6 +154,20 @@ class Change:
     at_s: float
     """[s] since the first scan."""
 
+    @property
+    def evidence(self) -> float:
+        """Return the evidence [nats] of the change: half the square of its standard errors."""
+        return 0.5 * (self.difference.value / self.difference.stderr) ** 2
+
+    @property
+    def sentence(self) -> str:
+        """Return the change in words, with its possible causes."""
+        one, q = self.difference, QUANTITIES[self.difference.name]
+        return (
+            f"The {q.title} changes during the run, at about {self.at_s:.0f} s, "
+            f"by {q.text(one.value, one.stderr)}: {q.causes}"
+        )
+
 
 def compare(
     first: DrivingCalibration, second: DrivingCalibration, n_tests: int = 1

@@ -1,20 +1,19 @@
 """Diagnose runs without arena and reference poses: calibrate their wheels and mount.
 
-The ledger lists the effects that driving alone tested, those that it cannot show, and what decided.
+`effects` expresses the calibration as effects of the library, with their ledger.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from logs.run import Run
-from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger
+from sensorgraph.diagnosis.engine.ledger import Ledger
 from sensorgraph.diagnosis.engine.why import why
-from sensorgraph.diagnosis.ledger import effect_entry, least_size, needs_of
 from sensorgraph.diagnosis.motion.calibration.comparison import (
     QUANTITIES,
     Change,
@@ -22,28 +21,20 @@ from sensorgraph.diagnosis.motion.calibration.comparison import (
     change_within,
     compare,
     is_long_enough,
-    most_by_chance,
+)
+from sensorgraph.diagnosis.motion.calibration.effects import (
+    SURE,
+    driving_channel,
+    driving_ledger,
+    effects_of,
+    hidden_effects,
 )
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration, calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion, with_moving_odometry
-from sensorgraph.diagnosis.motion.wheel_structure import ODOMETRY_FAMILIES
-from sensorgraph.effects import EFFECTS, Amendment
-from sensorgraph.effects.latency import LATENCY
-from sensorgraph.effects.mount_xy import MOUNT_XY
-from sensorgraph.effects.mount_yaw import MOUNT_YAW
-from sensorgraph.effects.wheel_base import WHEEL_BASE
-from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
-from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
+from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.effects import Amendment
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import ProgressBars, no_progress
-
-SURE = most_by_chance(1)
-"""Standard errors. Of 100 robots without any error, five exceed it in one of the six parameters."""
-THRESHOLD = SURE**2 / 2
-"""[nats] Evidence of an estimate that is `SURE` standard errors off."""
-CHANGE = ODOMETRY_FAMILIES["jump"]
-"""Name in the ledger, and noun phrase, of a change at a moment."""
-NEEDS_ARENA = "only wheels and mount are estimated without an arena, since poses from the run's own scans absorb the rest"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,11 +65,21 @@ class DrivingFinding:
         found = self.runs[name]
         return [*lines_of(found), *change_lines(self.changes[name], is_tested=is_long_enough(found))]
 
+    @property
+    def channel(self) -> ChannelResult:
+        """The odometry channel of the last run, as driving alone shows it."""
+        return driving_channel(list(self.runs.values())[-1], self.effects, self.base)
+
+    @property
+    def hidden(self) -> dict[str, str]:
+        """Return the effects that the last run does not show, with the reason."""
+        return hidden_effects(list(self.runs.values())[-1])
+
     @cached_property
     def ledger(self) -> Ledger:
-        """All hypotheses, with the verdicts on the last run."""
+        """All effects and a change during the run, with the verdicts on the last run."""
         name, found = list(self.runs.items())[-1]
-        return driving_ledger(found, self.changes[name], self.base)
+        return driving_ledger(found, self.changes[name], self.channel)
 
     def why(self, name: str) -> str:
         """Return why an effect was or was not named.
@@ -89,15 +90,6 @@ class DrivingFinding:
             The ledger has no such name; the message lists the known ones.
         """
         return why(self.ledger, name)
-
-    @property
-    def hidden(self) -> dict[str, str]:
-        """Return the effects that the last run does not show, with the reason."""
-        found = list(self.runs.values())[-1]
-        return {
-            QUANTITIES[name].effect.name: f"{QUANTITIES[name].title}: {why}"
-            for name, why in reversed(found.hidden.items())
-        }
 
     @property
     def lines(self) -> list[str]:
@@ -150,109 +142,7 @@ def diagnose_driving(
     )
 
 
-def driving_ledger(found: DrivingCalibration, change: Change | None, base: float | None) -> Ledger:
-    """Return the ledger of one run.
-
-    Parameters
-    ----------
-    change : Change during the run, if there is one.
-    base : [m] Wheelbase that the odometry uses; None: unknown, so that unequal wheels have no size.
-    """
-    hidden = {QUANTITIES[name].effect.name: why for name, why in reversed(found.hidden.items())}
-    if base is None:
-        hidden.setdefault(WHEEL_RADIUS_DIFF.name, "it needs the wheelbase; give --robot with wheels.base")
-    if LATENCY.name not in hidden:
-        delay, error = found.of("delay")
-        hidden[LATENCY.name] = (
-            f"the scan delay of {QUANTITIES['delay'].text(delay, error)} is relative to the odometry; "
-            "only reference poses can show which of the two is late"
-        )
-    entries = []
-    for a in calibrated_effects(found, base):
-        why = hidden.get(a.name, "")
-        evidence = None if why else a.evidence
-        facts = Facts(
-            has_name=True, accepted=evidence is not None and evidence > THRESHOLD, evidence=evidence, threshold=THRESHOLD,
-            is_material=is_material(a), not_observable=why,
-        )  # fmt: skip
-        entry = effect_entry(a, facts)
-        entries.append(replace(entry, remark=f"it is smaller than what matters ({least_size(a.effect)})"))
-    known = {entry.name for entry in entries}
-    for name, effect in EFFECTS.items():
-        if name not in known:
-            facts = Facts(has_name=True, not_observable=hidden.get(name, NEEDS_ARENA))
-            entries.append(
-                Entry(
-                    name=name, channel=effect.channel, title=effect.title, facts=facts, needs=needs_of(effect)
-                )
-            )
-    return Ledger(entries=(*entries, _change(found, change)))
-
-
-def _change(found: DrivingCalibration, change: Change | None) -> Entry:
-    """Return the entry of a change of wheels or mount during the run."""
-    name, title = CHANGE
-    if change is None:
-        why = "" if is_long_enough(found) else "the drive is too short to show a change during it"
-        weak = Facts(has_name=False, evidence=None if why else 0.0, threshold=THRESHOLD, not_tried=why)
-        return Entry(name=name, channel="odometry", title=title, facts=weak)
-    one, q = change.difference, QUANTITIES[change.difference.name]
-    facts = Facts(
-        has_name=False, accepted=True, evidence=0.5 * (one.value / one.stderr) ** 2, threshold=THRESHOLD
-    )
-    estimate = f"{q.title} by {q.text(one.value, one.stderr)} at about {change.at_s:.0f} s"
-    return Entry(
-        name=name, channel="odometry", title=title, facts=facts, estimate=estimate,
-        needs=f"which of these is the cause: {q.causes}",
-    )  # fmt: skip
-
-
-# effects and sentences ------------------------------------------------------------------------------------------------
-
-
-def calibrated_effects(found: DrivingCalibration, base: float | None) -> list[Amendment]:
-    """Return the effects of wheels and mount with their sizes and evidence, whether or not these are material.
-
-    Parameters
-    ----------
-    base : [m] Wheelbase that the odometry uses; None: unknown, so that unequal radii have no size.
-    """
-    (way, way_sd), (turn, turn_sd), (bias, bias_sd) = (found.of(name) for name in PARAMETERS[:3])
-    (x, x_sd), (y, y_sd), (yaw, yaw_sd) = (found.of(name) for name in PARAMETERS[3:])
-    ratio = turn / way
-    stated = found.mount
-    shift = {"dx": x - stated[0], "dy": y - stated[1]}
-    angle = MOUNT_YAW.parameters[0].name
-    known = [
-        (WHEEL_RADIUS, {"s": 1 / way - 1}, {"s": way_sd / way**2}),
-        (WHEEL_BASE, {"s": ratio - 1}, {"s": ratio * float(np.hypot(turn_sd / turn, way_sd / way))}),
-        (MOUNT_XY, shift, {"dx": x_sd, "dy": y_sd}),
-        (MOUNT_YAW, {angle: yaw - stated[2]}, {angle: yaw_sd}),
-    ]
-    if base is not None:
-        known.append((WHEEL_RADIUS_DIFF, {"s": -bias * base}, {"s": bias_sd * base}))
-    return [
-        Amendment(
-            effect=effect,
-            parameters=values,
-            stderr=errors,
-            evidence=0.5 * max(abs(values[name]) / errors[name] for name in values) ** 2,
-        )
-        for effect, values, errors in known
-    ]
-
-
-def is_material(a: Amendment) -> bool:
-    """Tell whether a parameter is surely not zero and large enough to matter."""
-    return any(
-        abs(a[p.name]) > max(SURE * a.stderr[p.name], p.materiality or 0.0) for p in a.effect.parameters
-    )
-
-
-def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment, ...]:
-    """Return the material effects of wheels and mount, for `record` and `export`; see `calibrated_effects`."""
-    named = [a for a in calibrated_effects(found, base) if is_material(a)]
-    return tuple(sorted(named, key=lambda a: -(a.evidence or 0.0)))
+# sentences ------------------------------------------------------------------------------------------------------------
 
 
 def headline(found: DrivingCalibration, change: Change | None) -> str:
@@ -377,7 +267,4 @@ def change_lines(change: Change | None, *, is_tested: bool = True) -> list[str]:
         return ["The drive is too short to show a change during it."]
     if change is None:
         return ["Wheels and mount are constant during the run."]
-    one, q = change.difference, QUANTITIES[change.difference.name]
-    return [
-        f"The {q.title} changes during the run, at about {change.at_s:.0f} s, by {q.text(one.value, one.stderr)}: {q.causes}"
-    ]
+    return [change.sentence]
