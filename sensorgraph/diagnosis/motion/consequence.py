@@ -8,6 +8,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.types import Floats
+from sensorgraph.world.robot import Robot
 
 MIN_DRIFT = 0.002
 """Position error after a minute of dead reckoning, above which it matters to a user, as a share of the distance at top speed:
@@ -33,15 +34,10 @@ class SimulationError:
         """Return the error in words."""
         return f"a simulation without it is off by {self.drift:.2g} m after a minute and by {100 * self.speed:.2g} cm/s"
 
-    def is_material(self, top_speed: float, evidence: float) -> bool:
-        """Tell whether the error certainly matters to a user.
-
-        Parameters
-        ----------
-        top_speed : [m/s] Of the robot.
-        evidence : [nats] That the error is not zero.
-        """
-        way, sure = top_speed * EVIDENCE.reckoning_time, sure_share(evidence)
+    def is_material(self, robot: Robot, evidence: float) -> bool:
+        """Tell whether the error certainly matters to a user, given the evidence [nats] that it is not zero."""
+        top_speed, sure = robot.limits.v, sure_share(evidence)
+        way = top_speed * EVIDENCE.reckoning_time
         return sure * self.drift > MIN_DRIFT * way or sure * self.speed > MIN_SPEED_ERROR * top_speed
 
 
@@ -62,10 +58,10 @@ class ReferenceError:
         """Return the error in words."""
         return f"the reference is off by {100 * self.place:.2g} cm and {np.degrees(self.yaw):.2g} degrees"
 
-    def is_material(self, top_speed: float, evidence: float) -> bool:
-        """Tell whether the error certainly matters to a user, given the evidence [nats] that it is not zero."""
-        share = sure_share(evidence)
-        return share * max(self.place, self.yaw) > EVIDENCE.min_reference_error
+    def is_material(self, robot: Robot, evidence: float) -> bool:
+        """Tell whether the error certainly exceeds the tolerance of the reference, given the evidence [nats] of it."""
+        share, limits = sure_share(evidence) / EVIDENCE.max_tolerances, robot.tolerances
+        return share * self.place > limits.pose_xy or share * self.yaw > limits.pose_yaw
 
 
 def sure_share(evidence: float) -> float:

@@ -97,7 +97,7 @@ def admitted_structure(
         return None
     missing = test.explained(own, family)
     size = size_of(missing, family)
-    is_material = size.is_material(model.robot.limits.v, gain)
+    is_material = size.is_material(model.robot, gain)
     if family.least_change:
         rms = np.std(missing) / max(float(np.std(family.columns.sum(axis=1))), 1e-12)
         is_material = bool(2 * sure_share(gain) * rms >= family.least_change)

@@ -37,8 +37,6 @@ class EvidenceSettings:
     more accurate than the wheels."""
     reckoning_time: float = 60.0
     """[s] duration of dead reckoning, after which the error of a simulation is evaluated."""
-    min_reference_error: float = 0.005
-    """[m, rad] distortion of the reference poses over the place, above which it matters to a user."""
     n_pieces: int = 6
     """Number of pieces of the run in which scales, gains or delays may differ."""
     scale_sigma: float = 0.1
