@@ -50,8 +50,6 @@ MIN_WINDOWS = 10
 """Minimum number of windows for a statement."""
 CERTAIN = 0.8
 """Correlation above which two motions are the same, and below minus which they are opposite."""
-NONE = 0.5
-"""Correlation below which two motions are different."""
 MAX_PATCHES = 3
 """Maximum number of patches in one run."""
 MIN_DISTANCE = 1.0
@@ -179,7 +177,7 @@ def counts_backwards(signals: MotionSignals) -> str:
         askew = ", or the reference poses look backwards" if parts == ["distance"] else ""
         swapped = " (left and right wheel exchanged)" if parts == ["turns"] else ""
         return f"the odometry counts its {found} backwards{swapped}{askew}"
-    if max(abs(way), abs(turn)) < NONE and min(abs(cross), abs(other)) > CERTAIN and cross * other > 0:
+    if max(abs(way), abs(turn)) < CERTAIN < min(abs(cross), abs(other)) and cross * other > 0:
         return f"the {'left' if cross > 0 else 'right'} wheel of the odometry counts backwards"
     return ""
 
