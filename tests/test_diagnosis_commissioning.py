@@ -20,7 +20,12 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate, baseline_intervals, between_windows
+from sensorgraph.diagnosis.scan.site_sizes import (
+    SitePrior,
+    WindowEstimate,
+    baseline_intervals,
+    between_windows,
+)
 from sensorgraph.diagnosis.scan.worth import clutter_floor, price, surely_stands
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS, Amendment
@@ -290,14 +295,16 @@ def test_clutter_is_no_price_of_what_surely_stands_alone_in_the_room(
     case: dict[str, bool], floor: float
 ) -> None:
     run, disc = pillar_run(**case)
-    data = replace(prepare_scans(run, ARENA, ROBOT)[0], clutter_nats={"unmapped_obstacle": 900.0})
+    data = replace(prepare_scans(run, ARENA, ROBOT)[0], site=SitePrior(floors={"unmapped_obstacle": 900.0}))
     assert clutter_floor(disc, data) == floor
-    assert price(disc, data) == price(disc, replace(data, clutter_nats={})) + floor
+    assert price(disc, data) == price(disc, replace(data, site=SitePrior())) + floor
 
 
 def test_what_rays_go_through_does_not_surely_stand() -> None:
     _, disc = pillar_run()
-    data = replace(prepare_scans(site_run(2), ARENA, ROBOT)[0], clutter_nats={"unmapped_obstacle": 900.0})
+    data = replace(
+        prepare_scans(site_run(2), ARENA, ROBOT)[0], site=SitePrior(floors={"unmapped_obstacle": 900.0})
+    )
     assert not surely_stands(disc, data)
     assert clutter_floor(disc, data) == 900.0
 

@@ -13,7 +13,7 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
+from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, SitePrior
 from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
 from sensorgraph.diagnosis.scan.unnamed.change_in_time import find
 from sensorgraph.diagnosis.scan.unnamed.columns import N_PARTS
@@ -93,7 +93,7 @@ def test_a_jump_as_large_as_good_windows_differ_by_is_the_site(
         stderr={"dx": 0.0, "dy": 0.0},
         dof=12.0,
     )
-    site = replace(broken, baseline_intervals={"mount_xy": usual}, memo={})
+    site = replace(broken, site=SitePrior(intervals={"mount_xy": usual}), memo={})
     assert bool(sure_changes(fitted(site))) == is_told
 
 

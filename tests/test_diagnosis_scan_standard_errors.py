@@ -15,7 +15,7 @@ from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import searched
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
+from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, SitePrior
 from sensorgraph.diagnosis.scan.standard_errors import (
     jagged_error,
     lattice_error,
@@ -132,6 +132,6 @@ def test_at_a_site_that_is_known_its_spread_from_run_to_run_is_part_of_the_error
     got, alone = fitted(hall, bias, bias)
     usual = BaselineInterval(mean={"b": 0.0}, spread={"b": 0.004}, stderr={"b": 0.001}, dof=8.0)
     known = replace(got, solver=copy(got.solver))
-    known.solver.data = replace(got.solver.data, baseline_intervals={"range_bias": usual}, memo={})
+    known.solver.data = replace(got.solver.data, site=SitePrior(intervals={"range_bias": usual}), memo={})
     (told,) = standard_errors(known, NoiseBounds())
     assert told["b"] == pytest.approx(np.hypot(alone["b"], 0.004), rel=0.05)

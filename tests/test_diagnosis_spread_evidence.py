@@ -14,6 +14,7 @@ from sensorgraph.diagnosis.result import ChannelResult, Rival, without_close_cal
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.site_sizes import SitePrior
 from sensorgraph.diagnosis.scan.worth import evidence, parts_of_way, spread_evidence
 from sensorgraph.effects import EFFECTS, Amendment
 
@@ -29,7 +30,9 @@ def null() -> Fitted:
 
 def site_of(null: Fitted) -> ScanData:
     """Return its data as of a site that is known by its good runs."""
-    return replace(null.solver.data, clutter_nats={"people": 100.0, "self_occlusion": 400.0}, memo={})
+    return replace(
+        null.solver.data, site=SitePrior(floors={"people": 100.0, "self_occlusion": 400.0}), memo={}
+    )
 
 
 def better_by(null: Fitted, nats: Floats, *model: Amendment) -> Fitted:

@@ -30,7 +30,7 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import SearchMemory, shortlist
-from sensorgraph.diagnosis.scan.site_sizes import WindowEstimate
+from sensorgraph.diagnosis.scan.site_sizes import SitePrior, WindowEstimate
 from sensorgraph.diagnosis.scan.worth import (
     must_be_spread,
     pose_tolerances,
@@ -112,7 +112,9 @@ def learnt(
     tolerances = shift_tolerances(data, cuts)
     work.add(1)
     hidden = hidden_by_scraps(data.arena)
-    data = replace(data, tolerances=tolerances, clutter_nats=dict.fromkeys(hidden, float("inf")), memo={})
+    data = replace(
+        data, tolerances=tolerances, site=SitePrior(floors=dict.fromkeys(hidden, float("inf"))), memo={}
+    )
     parts = [window for n in cuts for window in data.windows(n)]
     fits = []
     for window in parts:

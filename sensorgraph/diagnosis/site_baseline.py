@@ -11,7 +11,12 @@ import numpy as np
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, WindowEstimate, baseline_intervals
+from sensorgraph.diagnosis.scan.site_sizes import (
+    BaselineInterval,
+    SitePrior,
+    WindowEstimate,
+    baseline_intervals,
+)
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import Robot
 
@@ -124,9 +129,7 @@ class SiteBaseline:
         return replace(
             data,
             laser_frame=False,
-            clutter_nats=clutter,
-            clutter_leads=leads,
-            baseline_intervals=intervals,
+            site=SitePrior(floors=clutter, leads=leads, intervals=intervals),
             memo={},
         )
 

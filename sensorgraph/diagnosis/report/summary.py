@@ -270,7 +270,7 @@ def tolerance_sentences(finding: Finding) -> list[str]:
     ]
     keys = ", ".join(one.tolerance for one in found)
     whose = "in robot.yaml"
-    if finding.data.baseline_intervals:
+    if finding.data.site.intervals:
         whose = "shown by the known-good runs"
     elif finding.data.grain > 0:
         whose = "due to the cells of the map"

@@ -319,7 +319,7 @@ def ranked(data: ScanData, tried: Sequence[tuple[Fitted, float]]) -> list[tuple[
     tried : Fits, each with the gain [nats] of the last effect in its model.
     """
     order = sorted(without_ends(data, tried), key=lambda pair: -pair[1])
-    if not data.clutter_nats:
+    if not data.site.is_known:
         return order
     certain = [pair for pair in order if not _may_be_clutter(pair, data)]
     # possible clutter waits, because it would absorb the readings of other effects

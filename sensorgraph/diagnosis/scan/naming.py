@@ -142,11 +142,8 @@ def _margin(data: ScanData, a: Amendment, rival: Amendment) -> float:
 
     At a commissioned site, the lead must also exceed the evidence that clutter brings.
     """
-    usual = data.baseline_intervals.get(rival.name)
     is_special = n_parameters(rival) > n_parameters(a)  # as a warm-up, which is a bias if it ends at once
-    if a.name not in data.clutter_leads or usual is None or usual.contains(rival, usual.stderr) or is_special:
-        return SCAN.naming.rival_margin
-    return max(SCAN.naming.rival_margin, data.clutter_leads[a.name], data.clutter_leads.get(rival.name, 0.0))
+    return max(SCAN.naming.rival_margin, 0.0 if is_special else data.site.lead(a, rival))
 
 
 def located(amendment: Amendment, data: ScanData) -> Amendment:

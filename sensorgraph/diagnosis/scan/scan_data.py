@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +17,7 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval
+from sensorgraph.diagnosis.scan.site_sizes import SitePrior
 from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
@@ -81,14 +81,8 @@ class ScanData:
     drawn map."""
     known: tuple[Amendment, ...] = ()
     """Effects that are already part of the simulator."""
-    clutter_nats: Mapping[str, float] = field(default_factory=dict)
-    """Effect -> [nats] Additional evidence that its name requires at this site (see `commissioning`); inf:
-    not searched for."""
-    clutter_leads: Mapping[str, float] = field(default_factory=dict)
-    """Smooth effect of the whole sensor -> [nats] Evidence that clutter alone may contribute. A smaller lead does
-    not decide against a rival that is also outside its own interval."""
-    baseline_intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
-    """Effect -> Sizes that fits to known-good runs of the site show."""
+    site: SitePrior = field(default_factory=SitePrior)
+    """What known-good runs of the site show of each effect (see `commissioning`)."""
     memo: dict[bytes, object] = field(default_factory=dict)
     """Cached results, such as the edges of a cast."""
 
@@ -105,7 +99,7 @@ class ScanData:
     def may_show(self, effect: Effect, place: str = "") -> bool:
         """Return whether an effect is searched for: the site allows it, and the poses do not absorb it."""
         is_pose_like = not place and bool(effect.nuisances) and set(effect.nuisances) <= set(POSE_LIKE)
-        return self.clutter_nats.get(effect.name) != np.inf and not (self.from_scans and is_pose_like)
+        return self.site.floor(effect.name) != np.inf and not (self.from_scans and is_pose_like)
 
     @cached_property
     def returned(self) -> Bools:

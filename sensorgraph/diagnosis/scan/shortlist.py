@@ -48,7 +48,7 @@ def shortlist(
     smooth = smooth_candidates(data, current)
     sharp = [c for c in smooth if c.gain > PROPOSAL.min_gain]
     rough = proposed_candidates(FitResiduals(data, current))
-    if data.clutter_nats:
+    if data.site.is_known:
         rough.sort(key=lambda c: not surely_stands(c.amendment, data))
     memory.note_expected((*smooth, *rough), is_bare=not current.model)
     present = {name_at_place(a) for a in current.model}

@@ -13,7 +13,7 @@ module holds the data and their statistics; `worth` estimates them from fits.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import brentq
@@ -82,6 +82,35 @@ class BaselineInterval:
         """Return whether a size is usual for the site; several parameters add as a vector."""
         values, far = even_scale(amendment.name, amendment.parameters), self.half_width(stderr)
         return bool(np.hypot.reduce([(values[k] - self.mean[k]) / far[k] for k in far]) < 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SitePrior:
+    """What known-good runs of a site show of each effect; without such runs, nothing."""
+
+    floors: Mapping[str, float] = field(default_factory=dict)
+    """Effect -> [nats] Additional evidence that its name requires; inf: not searched for."""
+    leads: Mapping[str, float] = field(default_factory=dict)
+    """Smooth effect of the whole sensor -> [nats] Evidence that clutter alone may contribute. A smaller lead does
+    not decide against a rival that is also outside its own interval."""
+    intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
+    """Effect -> Sizes that fits to the runs show."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether clutter of the site is known."""
+        return bool(self.floors)
+
+    def floor(self, name: str) -> float:
+        """Return the additional evidence [nats] that the name of an effect requires."""
+        return self.floors.get(name, 0.0)
+
+    def lead(self, a: Amendment, rival: Amendment) -> float:
+        """Return the lead [nats] over a rival that clutter alone may give an effect; 0 if the rival has a usual size."""
+        usual = self.intervals.get(rival.name)
+        if a.name not in self.leads or usual is None or usual.contains(rival, usual.stderr):
+            return 0.0
+        return max(self.leads[a.name], self.leads.get(rival.name, 0.0))
 
 
 def even_scale(name: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -204,7 +204,7 @@ def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
     data = fitted.solver.data
     nuisances, wanders = prior_widths(data.tolerances), wander_widths(fitted)
     set_up = set_up_of(data)
-    baseline = data.baseline_intervals.get(amendment.name)
+    baseline = data.site.intervals.get(amendment.name)
     out = {} if baseline is None else baseline.spread_of(amendment.name)
     for p in amendment.effect.parameters:
         if p.hidden is not None:

@@ -70,7 +70,7 @@ def evidence(data: ScanData, amendment: Amendment, better: Fitted, plain: Fitted
     At a site with known-good runs, `spread_evidence` replaces it for effects that must show on the whole
     path.
     """
-    if data.clutter_nats and must_be_spread(amendment):
+    if data.site.is_known and must_be_spread(amendment):
         return spread_evidence(data, better, plain)
     return better.j - plain.j
 
@@ -119,7 +119,7 @@ def parts_of_way(data: ScanData) -> Ints:
 
 def clutter_floor(amendment: Amendment, data: ScanData) -> float:
     """Return the additional evidence [nats] that a name requires at this site."""
-    floor = data.clutter_nats.get(amendment.name, 0.0)
+    floor = data.site.floor(amendment.name)
     return 0.0 if 0.0 < floor < np.inf and surely_stands(amendment, data) else floor
 
 
@@ -173,7 +173,7 @@ def _beams(data: ScanData) -> Beams:
 
 def is_within_baseline(fitted: Fitted, amendment: Amendment) -> bool:
     """Return whether an effect is within the baseline of the site, given the agreement between parts of the run."""
-    baseline = fitted.solver.data.baseline_intervals.get(amendment.name)
+    baseline = fitted.solver.data.site.intervals.get(amendment.name)
     if baseline is None:
         return False
     if baseline.contains(amendment):

@@ -179,7 +179,7 @@ def _is_large(a: Amendment, jump: dict[str, float], fitted: Fitted) -> bool:
     A laser whose mount changes looks like a drifting reference, so the jump must exceed the drift that is allowed.
     """
     data, scale = fitted.solver.data, max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
-    baseline = data.baseline_intervals.get(a.name)
+    baseline = data.site.intervals.get(a.name)
     if baseline is not None and set(baseline.mean) == set(jump):
         as_window = a.effect(**{k: baseline.mean[k] + v for k, v in jump.items()})
         if baseline.contains(as_window, baseline.stderr):

@@ -32,7 +32,7 @@ def find_at_walls(checked: Checked) -> list[Doubt]:
     """
     view, gains = checked.view, checked.gains
     data = view.data
-    if data.clutter_nats:
+    if data.site.is_known:
         return []
     out = []
     for index, a in enumerate(view.fitted.model):
