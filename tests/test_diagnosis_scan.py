@@ -14,12 +14,13 @@ from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.scan.deviations import dispersion
-from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, polish, solver_for, start_state
+from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import FitResiduals, replicate
+from sensorgraph.diagnosis.scan.rough_search import polish
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.settings import NoiseBounds

@@ -10,9 +10,10 @@ from conftest import further
 from scan_samples import data_of
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.scan.fit import fit, polish, start_state
+from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import explain
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.rough_search import polish
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import proposed_candidates
 from sensorgraph.effects import EFFECTS, sonar_cone

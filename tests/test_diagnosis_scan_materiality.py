@@ -12,10 +12,10 @@ from scan_samples import data_of, drive
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.naming import why_immaterial
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.standard_errors import is_map_error
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import parse_robot
 

@@ -11,11 +11,11 @@ from sensorgraph.diagnosis.report.quantities import minus
 from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
 from sensorgraph.diagnosis.scan.fit import Cast, cast, thin
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
+from sensorgraph.diagnosis.scan.materiality import SURELY_MATERIAL
 from sensorgraph.diagnosis.scan.model_selection import Explained, Step
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.standard_errors import SURELY_MATERIAL
 from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.diagnosis.scan.unnamed.family import Doubt
 from sensorgraph.diagnosis.scan.worth import price

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import select
-from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, polish, start_state, thin, thin_state
+from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, start_state, thin, thin_state
 from sensorgraph.diagnosis.scan.gauss_newton import State
+from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -291,24 +292,6 @@ class CandidateFits:
                 full = searched(self.data, full, self.noise_bounds, rounds=2, first=0.25, turns=1)
             out.append((full, worth(self.data, full.model[-1], full, self.current)))
         return out
-
-
-def searched(
-    data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
-) -> Fitted:
-    """Search the rough parameters of the last effect, then fit again."""
-    strained = got.state.stretch > SCAN.nuisance.stretched_scale
-    for _ in range(turns):
-        polished = polish(
-            data, got.model, len(got.model) - 1, got.state, noise_bounds, rounds=rounds, first=first
-        )
-        better = fit(data, polished, got.state, noise_bounds, outer=1, inner=4 if strained else 2)
-        gained = better.j - got.j
-        if gained > 0:
-            got = better
-        if gained < 2:
-            break
-    return got
 
 
 def ranked(data: ScanData, tried: Sequence[tuple[Fitted, float]]) -> list[tuple[Fitted, float]]:

@@ -20,18 +20,18 @@ from sensorgraph.diagnosis.result import (
 )
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
+from sensorgraph.diagnosis.scan.materiality import (
+    SURELY_MATERIAL,
+    changes_too_few,
+    is_map_error,
+    material_chance,
+    required_ratio,
+)
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.standard_errors import (
-    SURELY_MATERIAL,
-    changes_too_few,
-    evidence_beside_wander,
-    is_map_error,
-    material_probability,
-    required_ratio,
-)
+from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander
 from sensorgraph.diagnosis.scan.unnamed import Doubt, titles
 from sensorgraph.diagnosis.scan.worth import is_within_baseline, n_parameters
 from sensorgraph.effects import Amendment
@@ -174,11 +174,6 @@ def why_immaterial(fitted: Fitted, amendment: Amendment) -> Objection | None:
         f"the probability that it exceeds {required_ratio(fitted, amendment):.2g} times its materiality is "
         f"{100 * chance:.0f} %, and {100 * required:.0f} % is required",
     )
-
-
-def material_chance(fitted: Fitted, amendment: Amendment) -> float:
-    """Return the probability that the size of an effect matters."""
-    return float(material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment)))
 
 
 def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:

@@ -1,4 +1,4 @@
-"""Estimate the standard errors of accepted effects, and the probability that their size is material.
+"""Estimate the standard errors of accepted effects.
 
     smooth parameter             stderr = sqrt(diag(covariance))
     searched parameter           log p(at) - log p(at ± stderr) = 1/2
@@ -20,8 +20,6 @@ Here c_k is the autocovariance of the n pose errors at lag k. The sum ends at th
 not positive (Geyer 1992, Practical Markov chain Monte Carlo, section 3.3). A fit treats the pose errors of all
 scans as independent. If they are correlated in time, their mean in the robot frame or along its path has a
 larger error.
-
-Test whether an effect exceeds the errors that the setup may have, given the tolerances of the fit.
 """
 
 from __future__ import annotations
@@ -29,18 +27,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from scipy.special import ndtr
 
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, log_p_at
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.set_up import SetUp
 from sensorgraph.types import Floats
-from sensorgraph.world.robot import Tolerances
 
 FALL_WINDOW = (0.15, 1.5)
 """[nats] Decreases from which a parabola gives the half-width of a searched parameter."""
@@ -50,8 +45,6 @@ FIRST_STEP = 0.1
 """First step, relative to the first step of the search."""
 LEAST_SEEN = 0.1
 """Minimum share of the squared error that a run shows, for any correlation time."""
-SURELY_MATERIAL = "surely_material"
-"""Name of the rule that a size exceeds its materiality with sufficient probability."""
 
 
 def standard_errors(fitted: Fitted, noise_bounds: NoiseBounds) -> tuple[dict[str, float], ...]:
@@ -248,26 +241,6 @@ def set_up_of(data: ScanData) -> SetUp:
     )
 
 
-def material_probability(amendment: Amendment, stderr: Mapping[str, float], slack: float = 1.0) -> float:
-    """Return the probability that an effect's size is at least `slack` times its materiality; 1 without a limit.
-
-        Φ((ratio - slack) / error)
-
-    The error is taken along the direction of the size, since several sizes add as a vector. The other sign does not count:
-    a size that the run does not determine (error -> inf) is as probably material as not.
-    """
-    sizes = amendment.effect.sizes
-    ratio = size_ratio(amendment.effect, amendment.parameters)
-    if not np.isfinite(ratio):
-        return 1.0
-    parts = {
-        k: (amendment[k] / m, stderr.get(k, 0.0) / m) for k, m in sizes.items() if k in amendment.parameters
-    }
-    along = sum((value * error) ** 2 for value, error in parts.values()) ** 0.5 / max(ratio, 1e-9)
-    error = max(along, 1e-6)
-    return float(ndtr((ratio - slack) / error))
-
-
 def wander_widths(fitted: Fitted) -> dict[Nuisance, float]:
     """Return the standard deviations [m, m, rad, s] of mount and delay from slow pose errors.
 
@@ -302,55 +275,3 @@ def error_of_mean(values: Floats) -> float:
     summed = 2 * float(pairs[:kept].sum()) - float(covariance[0])
     square = summed / n / max(1 - (4 * kept - 1) / n, LEAST_SEEN)
     return float(np.sqrt(max(square - (float(covariance[0]) + square) / n, 0.0)))
-
-
-def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
-    """Return whether a change of the building is within the errors of the map.
-
-    This holds for a wall of an occupancy-grid map, or the map as a whole, that moved by less than a cell, and for a disc that stands
-    out of a mapped object by a small distance. A disc that may be as large as the largest one also counts, because it was fitted to
-    a flat object.
-    """
-    data, values = fitted.solver.data, amendment.parameters
-    if amendment.effect.place != "spot":
-        return _is_within_cell(data, amendment)
-    largest = amendment.effect.parameter("r").high - amendment.effect.sizes["r"]
-    if values["r"] + 2 * amendment.stderr.get("r", 0.0) > largest:
-        return True
-    spot = np.array([[values["x"], values["y"]]])
-    if data.arena.contains(spot)[0]:
-        return False
-    stands_out = values["r"] - float(data.barriers.distances(spot)[0])
-    return stands_out < SCAN.nuisance.max_tolerances * data.tolerances.map * required_ratio(fitted, amendment)
-
-
-def _is_within_cell(data: ScanData, amendment: Amendment) -> bool:
-    """Return whether the walls that an effect moves, less twice its standard error, stay within a cell of the map."""
-    effect = amendment.effect
-    if data.grain <= 0 or effect.place == "obstacle" or effect.diagnostics.corner_shifts is None:
-        return False
-    scene = data.scene()
-    before = scene.walls.copy()
-    amendment(scene)
-    shift = (scene.walls - before).reshape(-1, 2)
-    if effect.place is None:
-        shift = shift - shift.mean(axis=0)  # the poses absorb it
-    return float(np.hypot(*shift.T).max()) - 2 * amendment.stderr.get("d", 0.0) < 2 * data.grain
-
-
-def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
-    """Return whether an effect without a size explains too few readings, as with a cut-off next to the specified one."""
-    if amendment.effect.sizes or amendment.effect.diagnostics.is_lattice:
-        return False
-    data = fitted.solver.data
-    rest = tuple(a for a in fitted.model if a != amendment)
-    better = log_p_at(data, fitted.model, fitted.state) - log_p_at(data, rest, fitted.state)
-    settings = SCAN.goodness_of_fit
-    return float((better > settings.clearly_better).mean()) < settings.min_share
-
-
-def required_ratio(fitted: Fitted, amendment: Amendment) -> float:
-    """Return the minimum size of an effect in materialities: more for wide specified tolerances, or if the fit widened them."""
-    proved = max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
-    usual, told = prior_widths(Tolerances()), prior_widths(fitted.solver.data.tolerances)
-    return proved * float((told / usual)[list(amendment.effect.nuisances)].max(initial=1.0))

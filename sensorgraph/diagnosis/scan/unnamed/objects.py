@@ -6,8 +6,8 @@ import numpy as np
 
 from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
 from sensorgraph.diagnosis.scan.fit import cast, log_p_at
+from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.standard_errors import is_map_error
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects.effect import without
 from sensorgraph.effects.proposals import best_run
