@@ -40,10 +40,10 @@ def test_constants_are_varied_where_they_were_imported_and_where_they_are_compil
     def densities() -> list[str]:
         here, beyond = np.linspace(1.95, 2.35, 9), np.full(9, 2.3)
         nothing, half = np.zeros(9), np.full(9, 0.5)
-        limits, noise = (0.1, 8.0, 0.001), (0.01, 0.01, 0.01, 0.0)
+        limits, noise = (0.1, 8.0, 0.001, 0.0), (0.01, 0.01, 0.01, 0.0)
         sigma, two, one = np.full(9, 0.02), np.full(9, 2.0), np.ones(9)
         found = likelihood.mixture(
-            here, two, sigma, one, beyond, nothing, half, limits, noise, (0.0, 0.0), 0.0, 3.0, 1e-9
+            here, two, sigma, one, beyond, nothing, half, limits, noise, (0.0, 0.0, 1e-9), 3.0
         )
         return [f"{p:.6f}" for p in found[likelihood.LOG_P]]
 

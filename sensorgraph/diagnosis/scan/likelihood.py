@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inlined_kernel, kernel
 from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE, Edges
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -153,12 +153,11 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
             float(sensor.range_min),
             float(sensor.range_max),
             max(float(sensor.resolution), SETTINGS.min_resolution),
+            float(expected.lattice),
         ),
         (float(noise.tail), float(noise.loss), float(noise.stray), float(expected.stray)),
-        (float(expected.short), SETTINGS.lost_at_edge),
-        float(expected.lattice),
+        (float(expected.short), SETTINGS.lost_at_edge, SETTINGS.unexplained),
         SETTINGS.tail_width,
-        SETTINGS.unexplained,
     ).reshape(7, *z.shape)
     return Responsibilities(
         log_p=found[LOG_P],
@@ -199,10 +198,37 @@ def sample(
     return z
 
 
-@inner_kernel
+@inlined_kernel
 def _normal_cdf(x: float) -> float:
     """Return the standard normal distribution function at x."""
     return 0.5 * math.erfc(-x / SQRT_2)
+
+
+@inlined_kernel
+def _densities(
+    reading: float, e: float, s: float, tail_width: float, lattice: float, cell: float
+) -> tuple[float, float]:
+    """Return the densities [1/m] of core and tail at a reading with the residual e; 0 for a reading off the lattice."""
+    if lattice > 0:
+        steps, half, t = reading / lattice, lattice / 2, tail_width * s
+        if abs(steps - math.floor(steps + 0.5)) * lattice > LATTICE_SLACK * cell + 1e-9:
+            return 0.0, 0.0
+        core = (_normal_cdf((e + half) / s) - _normal_cdf((e - half) / s)) / cell
+        return core, (_normal_cdf((e + half) / t) - _normal_cdf((e - half) / t)) / cell
+    u = e / s
+    core = math.exp(-0.5 * u * u) / (SQRT_TAU * s)
+    u /= tail_width
+    return core, math.exp(-0.5 * u * u) / (SQRT_TAU * s * tail_width)
+
+
+@inlined_kernel
+def _density_at_edge(reading: float, expected: float, there: float, s_there: float) -> float:
+    """Return the density [1/m] of a reading at the far side of an edge, or anywhere between its two sides."""
+    u = (reading - there) / s_there
+    near = math.exp(-0.5 * u * u) / (SQRT_TAU * s_there)
+    low, high = min(there, expected), max(there, expected)
+    flat = 1 / max(high - low, MIN_EDGE_STEP) if low < reading < high else 0.0
+    return EDGE_NEAR * near + EDGE_BETWEEN * flat
 
 
 @kernel
@@ -214,105 +240,75 @@ def mixture(
     alternative: Floats,
     spread: Floats,
     p_alternative: Floats,
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     noise: tuple[float, float, float, float],
-    chances: tuple[float, float],
-    lattice: float,
+    chances: tuple[float, float, float],
     tail_width: float,
-    unexplained: float,
 ) -> Floats:
     """Return the log-likelihood and the responsibilities of n readings.
-
-    It is one loop, because this is the innermost loop of every fit and each call from compiled code costs time.
 
     Parameters
     ----------
     z : (n,) [m] Measured range; inf: missing, -inf: too near, nan: broken.
     mu : (n,) [m] Expected range; inf where no return is possible.
     sigma : (n,) [m] Standard deviation of the core.
-    p_return : (n,) Probability that the ray returns.
-    alternative : (n,) [m] Expected range on the other side of an edge; nan without an edge.
-    spread : (n,) [m] Standard deviation of `alternative`, without the noise of a reading.
-    p_alternative : (n,) Probability that the ray reads `alternative`.
-    limits : [m] Minimum range, maximum range, and resolution of a reading.
+    p_return, alternative, spread, p_alternative : (n,) As in `ExpectedReadings`.
+    limits : [m] Minimum range, maximum range, resolution, and the step to which effects round readings; 0 without rounding.
     noise : Shares of the tail, of missing returns and of outliers; then the share of outliers that effects add.
-    chances : Probabilities of a short reading, and of a missing one next to an edge.
-    lattice : [m] Step to which effects round the readings; 0 without rounding.
+    chances : Probabilities of a short reading, of a missing one next to an edge, and of one that no component explains.
     tail_width : Ratio of the standard deviation of the tail to that of the core.
-    unexplained : Probability of a reading that no component explains.
 
     Returns
     -------
     (7, n) LOG_P [nats], WEIGHT [1/m²], RESIDUAL [m], and the posterior probabilities CORE, TAIL, LOST and STRAY
     """
-    nearest, farthest, cell = limits
+    nearest, farthest, cell, lattice = limits
     share, loss, stray_noise, stray_effect = noise
-    short, lost_at_edge = chances
+    short, lost_at_edge, unexplained = chances
     stray = 1 - (1 - stray_effect) * (1 - stray_noise)
     rest = (1 - stray) * (1 - short)
     p_stray = stray / farthest
     out = np.zeros((7, len(z)))
     for k in range(len(z)):
-        reading, expected, s = z[k], mu[k], sigma[k]
-        aimed, returned = math.isfinite(expected), math.isfinite(reading)
+        reading, expected, s, there, at_edge = z[k], mu[k], sigma[k], alternative[k], p_alternative[k]
         if math.isnan(reading):
             continue
-        inside = _normal_cdf((farthest - expected) / s) if aimed else 0.0
-        p_core = p_tail = 0.0
-        edge, there = p_alternative[k] > 0, alternative[k]
-        inside_there, s_there = 0.0, 1.0
-        if edge and math.isfinite(there):
-            s_there = math.hypot(EDGE_WIDTH * s, spread[k])
-            inside_there = _normal_cdf((farthest - there) / s_there)
-        if returned:
-            p = 0.0
-            p_back = p_return[k] * (1 - loss)  # the density already includes that z is within the limits
+        aimed = math.isfinite(expected)
+        has_far_side = at_edge > 0 and math.isfinite(there)
+        s_there = math.hypot(EDGE_WIDTH * s, spread[k]) if has_far_side else 1.0
+        if math.isfinite(reading):
+            p = p_core = p_tail = 0.0
+            back = p_return[k] * (1 - loss) * rest  # the density already includes that z is within the limits
             if aimed:
                 e = reading - expected
                 out[RESIDUAL, k] = e
-                own = rest * p_back * (1 - p_alternative[k])
-                if lattice > 0:
-                    steps = reading / lattice
-                    if abs(steps - math.floor(steps + 0.5)) * lattice > LATTICE_SLACK * cell + 1e-9:
-                        own = 0.0
-                    half = lattice / 2
-                    t = tail_width * s
-                    core = (_normal_cdf((e + half) / s) - _normal_cdf((e - half) / s)) / cell
-                    tail = (_normal_cdf((e + half) / t) - _normal_cdf((e - half) / t)) / cell
-                else:
-                    u = e / s
-                    core = math.exp(-0.5 * u * u) / (SQRT_TAU * s)
-                    u /= tail_width
-                    tail = math.exp(-0.5 * u * u) / (SQRT_TAU * s * tail_width)
+                core, tail = _densities(reading, e, s, tail_width, lattice, cell)
+                own = back * (1 - at_edge)
                 p_core, p_tail = own * (1 - share) * core, own * share * tail
                 p = p_core + p_tail
-            if edge and math.isfinite(there):
-                u = (reading - there) / s_there
-                near = math.exp(-0.5 * u * u) / (SQRT_TAU * s_there)
-                low, high = min(there, expected), max(there, expected)
-                flat = 1 / max(high - low, MIN_EDGE_STEP) if low < reading < high else 0.0
-                p += rest * p_back * p_alternative[k] * (EDGE_NEAR * near + EDGE_BETWEEN * flat)
-            if short > 0:
-                top = min(expected, farthest) if aimed else farthest
-                if reading < top:
-                    p += (1 - stray) * short / max(top, MIN_SHORT_RANGE)
+            if has_far_side:
+                p += back * at_edge * _density_at_edge(reading, expected, there, s_there)
+            top = min(expected, farthest) if aimed else farthest
+            if short > 0 and reading < top:
+                p += (1 - stray) * short / max(top, MIN_SHORT_RANGE)
             total = p + p_stray + unexplained / farthest
             out[CORE, k], out[TAIL, k], out[STRAY, k] = p_core / total, p_tail / total, p_stray / total
             if aimed and nearest + CUT * s <= expected <= farthest - CUT * s:
                 out[WEIGHT, k] = (out[CORE, k] + out[TAIL, k] / (tail_width * tail_width)) / (s * s)
         else:
-            seen = (1 - p_alternative[k]) * inside + p_alternative[k] * inside_there
-            seen *= p_return[k]
+            inside = _normal_cdf((farthest - expected) / s) if aimed else 0.0
+            inside_there = _normal_cdf((farthest - there) / s_there) if has_far_side else 0.0
+            seen = p_return[k] * ((1 - at_edge) * inside + at_edge * inside_there)
             gone = rest * (1 - seen)
             if reading > 0:
                 p_lost = (1 - stray) * seen * loss
-                p_gone = p_lost + gone + (lost_at_edge if edge else 0.0)
+                p_gone = p_lost + gone + (lost_at_edge if at_edge > 0 else 0.0)
                 total = p_gone * (1 - short) + unexplained
                 out[LOST, k] = p_lost / total
             else:
-                too_near = (1 - p_alternative[k]) * _normal_cdf((nearest - expected) / s) if aimed else 0.0
+                too_near = (1 - at_edge) * _normal_cdf((nearest - expected) / s) if aimed else 0.0
                 if inside_there > 0.0:
-                    too_near += p_alternative[k] * _normal_cdf((nearest - there) / s_there)
+                    too_near += at_edge * _normal_cdf((nearest - there) / s_there)
                 total = rest * too_near + 0.5 * gone + unexplained
         out[LOG_P, k] = math.log(total)
     return out

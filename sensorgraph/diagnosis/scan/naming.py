@@ -97,7 +97,6 @@ def name_scan_effects(
     doubted = {i for i in material if is_doubted(explained, i, fit)}
     accepted = sorted(material - doubted)
     order = sorted(accepted, key=lambda i: -explained.gains[i])
-    rivals = [(i, *explained.rivals[i]) for i in order if i in explained.rivals]
     result = ChannelResult(
         channel="scan",
         effects=tuple(complete[i] for i in order),
@@ -114,16 +113,7 @@ def name_scan_effects(
             for a in (complete[i] for i in sorted(imitated))
         },
         unknown=_unknown(fit.told),
-        rivals=tuple(
-            Rival(
-                name=rival.name,
-                instead_of=complete[i].name,
-                evidence_nats=explained.gains[i] - short,
-                separates=separation(complete[i], rival),
-                required_nats=_margin(data, complete[i], rival),
-            )
-            for i, rival, short in rivals
-        ),
+        rivals=tuple(_rival(data, explained, i) for i in order if i in explained.rivals),
         deviations=tuple(deviations),
         notes={"immaterial": list(fit.immaterial)} if fit.immaterial else {},
     )
@@ -133,7 +123,19 @@ def name_scan_effects(
         small=small,
         chances=tuple(material_chance(final, a) for a in final.model),
         accepted=tuple(final.model[i] for i in accepted),
-        rivals=tuple(rival for _, rival, _ in rivals),
+        rivals=tuple(explained.rivals[i][0] for i in order if i in explained.rivals),
+    )
+
+
+def _rival(data: ScanData, explained: Explained, index: int) -> Rival:
+    """Return the second best explanation of what an effect of the model explains."""
+    a, (rival, short) = explained.final.model[index], explained.rivals[index]
+    return Rival(
+        name=rival.name,
+        instead_of=a.name,
+        evidence_nats=explained.gains[index] - short,
+        separates=separation(a, rival),
+        required_nats=_margin(data, a, rival),
     )
 
 

@@ -126,18 +126,12 @@ def linearise(
         turn = np.where(which, pose[:, 2] - lx * dy + ly * dx, turn)
         r = np.where(which, beams.reading, r)
         slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
-        t = data.tolerances
-        near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), MIN_SHORT_RANGE)
-        off = t.map / near + 0.5 * t.mount_yaw
-        slack = steepness * np.where(which, off, np.hypot(off, t.pose_yaw + t.pose_xy / near))
+        slack = steepness * _turn_of_surfaces(data, beams, which)
         valid = valid | which
     wall = np.where(on, beams.wall, 0)
     share = _share(beams, walls, wall)
     ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])
-    constant, share_of_range = SETTINGS.grazing_sigma
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = (constant + share_of_range * beams.ranges) / np.abs(cosine)
-    steep = np.where(straight & ~valid, sigma, 0.0)
+    steep = np.where(straight & ~valid, _grazing_sigma(beams, cosine), 0.0)
     steep = np.minimum(np.where(slack > 0, slack, steep), SETTINGS.max_steep_sigma)
     beside = wobble_of_readings(data.wobble, pose), _by_corners_that_stay(data, wall, ends)
     return Jacobian(
@@ -150,6 +144,24 @@ def linearise(
         valid=valid,
         steep=np.hypot.reduce([steep, *beside]),
     )
+
+
+def _turn_of_surfaces(data: ScanData, beams: Beams, has_columns: Bools) -> Floats:
+    """Return the standard deviation (n_scans, n_rays) [rad] of the direction in which a bent ray meets its surface.
+
+    The pose error is a part of it unless the ray has columns by the pose.
+    """
+    t = data.tolerances
+    near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), MIN_SHORT_RANGE)
+    off = t.map / near + 0.5 * t.mount_yaw
+    return np.where(has_columns, off, np.hypot(off, t.pose_yaw + t.pose_xy / near))
+
+
+def _grazing_sigma(beams: Beams, cosine: Floats) -> Floats:
+    """Return the additional standard deviation (n_scans, n_rays) [m] of rays at grazing incidence."""
+    constant, share_of_range = SETTINGS.grazing_sigma
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((constant + share_of_range * beams.ranges) / np.abs(cosine))
 
 
 def _nuisance_columns(data: ScanData, pose: Floats, turn: Floats, lengths: Floats, valid: Bools) -> Floats:

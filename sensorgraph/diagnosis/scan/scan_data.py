@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.motion import Motion, motion_of
-from logs.run import RangeSensor, Run, pair
+from logs.run import Pairing, RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.scan.corner_sums import Corners
@@ -245,18 +245,7 @@ def prepare_scans(
         "used": int(kept.sum()),
         "dropped": {**pairing.dropped, "with nothing but broken readings": broken, **thinned},
     }
-    least = SCAN.intake.min_scans
-    if run.n_scans < least:
-        more = (
-            "record a longer run" if run.n_scans else "select the topic of its scans with `topics` scan=NAME"
-        )
-        raise SensorgraphError(f"the run has {run.n_scans} scans, expected {least} or more; {more}")
-    check_returns(run)
-    if kept.sum() < least:
-        raise SensorgraphError(
-            f"only {int(kept.sum())} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
-            "record a longer run, or select the topic of its poses with `topics` pose=NAME"
-        )
+    _check_scans(run, pairing, int(kept.sum()))
     laser_frame = run.pose_frame == "laser"
     sensor = described_sensor(run, robot, is_laser_frame=laser_frame)
     notes["laser_height_m"] = sensor.height
@@ -278,6 +267,22 @@ def prepare_scans(
         known=tuple(a for a in known if a.effect.channel == "scan"),
     )
     return data, notes
+
+
+def _check_scans(run: Run, pairing: Pairing, n_kept: int) -> None:
+    """Refuse a run with too few scans, without returns, or with too few scans that have a pose."""
+    least = SCAN.intake.min_scans
+    if run.n_scans < least:
+        more = (
+            "record a longer run" if run.n_scans else "select the topic of its scans with `topics` scan=NAME"
+        )
+        raise SensorgraphError(f"the run has {run.n_scans} scans, expected {least} or more; {more}")
+    check_returns(run)
+    if n_kept < least:
+        raise SensorgraphError(
+            f"only {n_kept} of {run.n_scans} scans have a pose ({pairing}), expected {least} or more; "
+            "record a longer run, or select the topic of its poses with `topics` pose=NAME"
+        )
 
 
 def _unwrapped_like(phi: Floats, poses: Floats) -> Floats:
