@@ -15,6 +15,7 @@ unknown; for an effect outside the library, if it says unknown and names nothing
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,6 +29,7 @@ from scipy.stats import binomtest
 from benchmarks.arguments import existing, parser_of
 from benchmarks.hidden_effects.results import Case, load
 from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger, Verdict
+from sensorgraph.diagnosis.scan.materiality import material_probability
 from sensorgraph.effects import EFFECTS
 
 DUE_TO_UNKNOWN = ("absorbed_by_unknown", "part_of_unknown", "weaker_than_unknown")
@@ -128,11 +130,41 @@ def scaled(key: str, factor: float, facts: Facts) -> Facts:
     if key == "doubt":
         doubt = min(factor * (1.0 - facts.required_probability), 1.0)
         return replace(facts, required_probability=1.0 - doubt)
-    least = factor * facts.threshold
+    return weighed(facts, facts.evidence, factor * facts.threshold)
+
+
+def weighed(facts: Facts, evidence: float | None, least: float) -> Facts:
+    """Return facts with another evidence, or another evidence that is required [nats]."""
     is_weak = not facts.accepted and facts.is_significant and (facts.evidence or 0.0) < facts.threshold
-    enough = facts.evidence is None or facts.evidence >= least
-    accepted = enough if facts.accepted or (is_weak and facts.evidence is not None) else False
-    return replace(facts, threshold=least, accepted=accepted)
+    enough = evidence is None or evidence >= least
+    accepted = enough if facts.accepted or (is_weak and evidence is not None) else False
+    return replace(facts, evidence=evidence, threshold=least, accepted=accepted)
+
+
+def priced(factor: float, ledger: Ledger) -> Ledger:
+    """Return a ledger with the complexity penalties multiplied; those in the evidence of rivals stay."""
+    out = []
+    for entry in ledger:
+        facts = entry.facts
+        if entry.price is not None and facts.evidence is not None:
+            facts = weighed(facts, facts.evidence + (1.0 - factor) * entry.price, facts.threshold)
+        out.append(replace(entry, facts=facts))
+    return Ledger(entries=tuple(out))
+
+
+def of_size(factor: float, ledger: Ledger) -> Ledger:
+    """Return a ledger with the materiality of the effects of the scans multiplied, where tolerances did not raise it."""
+    out = []
+    for entry in ledger:
+        facts, effect = entry.facts, EFFECTS.get(entry.name)
+        if effect is not None and entry.channel == "scan" and facts.material_probability is not None:
+            usual, then = (
+                material_probability(effect(**entry.parameters), entry.stderr, one) for one in (1.0, factor)
+            )
+            if math.isclose(usual, facts.material_probability, abs_tol=1e-6):
+                facts = replace(facts, material_probability=then)
+        out.append(replace(entry, facts=facts))
+    return Ledger(entries=tuple(out))
 
 
 def changes(ledgers: Iterable[Ledger]) -> Iterator[tuple[str, Change]]:
@@ -153,6 +185,9 @@ def changes(ledgers: Iterable[Ledger]) -> Iterator[tuple[str, Change]]:
     ):
         for factor in FACTORS:
             yield f"{words} x {factor:g}", partial(with_facts, partial(scaled, key, factor))
+    for factor in FACTORS:
+        yield f"complexity penalty x {factor:g}", partial(priced, factor)
+        yield f"materiality x {factor:g}", partial(of_size, factor)
 
 
 def compared(

@@ -7,8 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scipy.stats import norm
 
-from benchmarks.ablation import Answer, ablate, answer, main, paired_interval, scaled, without_hypothesis
+from benchmarks.ablation import (
+    Answer,
+    ablate,
+    answer,
+    main,
+    of_size,
+    paired_interval,
+    priced,
+    scaled,
+    without_hypothesis,
+)
 from benchmarks.hidden_effects.results import Case
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Facts, Ledger, Objection
 
@@ -101,6 +112,18 @@ def test_limits_scale() -> None:
     assert not scaled("threshold", 0.5, replace(weak, is_significant=False)).accepted
     assert not scaled("threshold", 0.5, replace(weak, evidence=40.0)).accepted  # another one explains it
     assert scaled("doubt", 0.5, ACCEPTED).required_probability == pytest.approx(0.825)
+
+
+def test_penalties_and_materiality_scale() -> None:
+    weak = replace(BIAS, facts=replace(ACCEPTED, accepted=False, evidence=8.0), price=8.0)
+    assert answer(priced(0.5, ledger(weak))).names == ("range_bias",)
+    assert answer(priced(2.0, ledger(replace(BIAS, price=30.0)))).names == ()
+    chance = float(norm.cdf((0.006 / 0.005 - 1) / (0.001 / 0.005)))  # a materiality of 5 mm
+    large = replace(BIAS, parameters={"b": 0.006}, stderr={"b": 0.001})
+    usual = replace(large, facts=replace(ACCEPTED, material_probability=chance))
+    assert answer(of_size(1.0, ledger(usual))).names == ("range_bias",)
+    assert answer(of_size(2.0, ledger(usual))).names == ()
+    assert of_size(2.0, ledger(large)) == ledger(large)  # the tolerances of its run were wider than usual
 
 
 def test_the_paired_interval_holds_zero_if_as_many_move_either_way() -> None:
