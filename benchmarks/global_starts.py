@@ -25,8 +25,8 @@ from sensorgraph.localization.global_search import find_places, local_view
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.models.cells.model import CellModel
-from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.seen_space import seen_space
 
 N_GLOBAL, N_FIRST, N_STARTS = 8000, 10, 20
 """Number of particles anywhere; number of updates, and of starts."""
@@ -38,11 +38,7 @@ def anywhere(graph: Sensorgraph, n: int, rng: np.random.Generator) -> Floats:
     """Return n poses in the space that the training rays crossed."""
     model = graph.model
     assert isinstance(model, Faces | CellModel)
-    corner, side, known = crossed_cells(model)
-    cells = np.argwhere(known)[rng.integers(known.sum(), size=n)]
-    return np.column_stack(
-        [corner + (cells + rng.uniform(size=(n, 2))) * side, rng.uniform(-np.pi, np.pi, n)]
-    )
+    return seen_space(model).draw(n, rng)
 
 
 def searched(data: Halves, n: int, rng: np.random.Generator) -> Callable[[int], Floats]:

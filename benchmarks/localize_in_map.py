@@ -27,11 +27,12 @@ from planners.types import Bools, Floats, Ints
 from sensorgraph.localization.global_search import MIN_POINTS, find_places, local_view
 from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
-from sensorgraph.localization.known_map import SeenSpace, known_map
+from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.scans import scan_points
+from sensorgraph.models.seen_space import SeenSpace
 
 RIGHT_PLACE, RIGHT_TURN = 0.5, 0.26
 """[m, rad] a place nearer to the truth is the right one."""

@@ -20,12 +20,12 @@ from logs.run import RangeSensor
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Model, Prediction
 from sensorgraph.models.cells.model import CellModel
-from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.likelihood import information_share
 from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import ResidualMemory
+from sensorgraph.models.seen_space import seen_space
 from sensorgraph.models.unknown_space import N_POSES, N_RAYS, UnknownSpace
 from sensorgraph.nearby_likelihood import NearbyLikelihood, tabulated
 from sensorgraph.types import Bools, Floats, Ints
@@ -188,9 +188,7 @@ def _check_place(graph: Graph, poses: Floats) -> None:
     model = graph.model
     if not isinstance(model, Faces | CellModel):
         return
-    corner, side, known = crossed_cells(model)
-    index = np.argwhere(known)
-    low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
+    low, high = seen_space(model).bounds
     xy = graph.lasers(poses)[..., :2]
     if not ((xy >= low) & (xy <= high)).all(axis=-1).any():
         x, y = xy.reshape(-1, 2)[0]
@@ -237,10 +235,7 @@ def unknown_space(graph: Graph) -> UnknownSpace:
     if not isinstance(model, Faces | CellModel):
         return UnknownSpace(median=graph.sensor.range_max, p_no_return=0.0)
     rng = np.random.default_rng(0)
-    corner, side, known = crossed_cells(model)
-    cells = np.argwhere(known)[rng.integers(known.sum(), size=N_POSES)]
-    places = corner + (cells + rng.uniform(size=cells.shape)) * side
-    poses = np.column_stack([places, rng.uniform(-np.pi, np.pi, N_POSES)])
+    poses = seen_space(model).draw(N_POSES, rng)
     rays = np.unique(np.linspace(0, graph.sensor.n_rays - 1, N_RAYS).astype(np.intp))
     where = poses[:, None].repeat(len(rays), axis=1) if graph.sensor.is_composite else poses
     found = graph.predict(where, rays=rays)

@@ -20,11 +20,12 @@ from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import GlobalPlaces, find_places, local_view
 from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
-from sensorgraph.localization.known_map import SeenSpace, known_map
+from sensorgraph.localization.known_map import known_map
 from sensorgraph.localization.map_check import best_fit, looks
 from sensorgraph.localization.map_tracking import min_fit_of
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.settings import GLOBAL_SEARCH, MAP_TRACKING
+from sensorgraph.models.seen_space import SeenSpace
 from sensorgraph.types import Progress
 
 FREE = shapely.Polygon([wall[:2] for wall in ROOM[:10]], [[wall[:2] for wall in ROOM[10:]]])
@@ -196,7 +197,7 @@ def test_rays_into_space_that_nobody_mapped_do_not_count_against_a_place() -> No
     pose = np.array([1.5, 1.0, 0.4])
     mapped = WALLS[WALLS[:, :, 0].min(axis=1) < 3.0]  # the rest of the room was never seen
     mapped = np.stack([np.minimum(mapped[..., 0], 3.0), mapped[..., 1]], axis=-1)
-    seen = SeenSpace(cells=np.ones((32, 64), dtype=np.uint8), origin=np.array([-0.1, -0.1]), resolution=0.1)
+    seen = SeenSpace(cells=np.ones((32, 64), dtype=np.bool_), origin=np.array([-0.1, -0.1]), resolution=0.1)
     scans = scan_points(room_run(pose[None]))
     view = local_view(scans, np.array([0]), pose[None])
     one_eyed, blind = known_map(mapped, seen), known_map(mapped)

@@ -6,11 +6,11 @@ import numpy as np
 
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.localization.known_map import SeenSpace
 from sensorgraph.models.cells.local_lines import N_ANGLES, NO_LINE, OFFSET_STEP
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import RATES, CellTable
 from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.seen_space import SeenSpace, seen_space
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import walls_with_normals
 
@@ -73,13 +73,4 @@ def _cell_walls(table: CellTable) -> tuple[Floats, Floats]:
 
 def seen_by_graph(graph: Sensorgraph) -> SeenSpace | None:
     """Return the space observed by the runs of a sensorgraph of faces or cells; None for other models."""
-    model = graph.model
-    if isinstance(model, Faces):
-        observed = model.observed
-        cells = np.ascontiguousarray(observed.counts > 0, dtype=np.uint8)
-        return SeenSpace(cells=cells, origin=observed.origin, resolution=observed.cell)
-    if isinstance(model, CellModel):
-        table = model.table
-        cells = np.ascontiguousarray(table.is_seen[table.rows] > 0, dtype=np.uint8)
-        return SeenSpace(cells=cells, origin=np.asarray(table.low, dtype=np.float64), resolution=table.cell)
-    return None
+    return seen_space(graph.model) if isinstance(graph.model, Faces | CellModel) else None

@@ -11,7 +11,7 @@ from logs.transforms import compose, distances_along, invert
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.contrast import contrast_notes
 from sensorgraph.localization.global_search import evenly, fit_at, local_view
-from sensorgraph.localization.known_map import KnownMap, SeenSpace, known_map
+from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_check import DRIVE_SCANS, best_fit, looks, mirrored
 from sensorgraph.localization.map_tracking import MapMatches, MapTracker, rematch
 from sensorgraph.localization.matching import CORRELATION
@@ -23,6 +23,7 @@ from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FRONT_END, GLOBAL_SEARCH, MAP_TRACKING
 from sensorgraph.localization.smoothing import smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
+from sensorgraph.models.seen_space import SeenSpace
 from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
 
 MIRROR_LOOKS = 2

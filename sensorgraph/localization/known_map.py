@@ -19,7 +19,8 @@ from sensorgraph.localization.likelihood_field import (
 )
 from sensorgraph.localization.line_map import LineMap, line_map
 from sensorgraph.localization.settings import KNOWN_MAP
-from sensorgraph.types import Floats
+from sensorgraph.models.seen_space import SeenSpace
+from sensorgraph.types import Bools, Floats
 
 SPACING = 0.04
 """[m] Spacing of the points on the walls to which scans are matched."""
@@ -31,19 +32,7 @@ WALL = 225.0
 """Value of the fine field above which a cell is a wall."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SeenSpace:
-    """Grid of the cells that a ray of the map's own runs crossed or ended in."""
-
-    cells: NDArray[np.uint8]
-    """(nx, ny) 1: observed. Everything outside the grid is unobserved."""
-    origin: Floats
-    """(2,) [m, map] Lower left corner of cell (0, 0)."""
-    resolution: float
-    """[m] Side of a cell."""
-
-
-EVERYWHERE = SeenSpace(cells=np.zeros((0, 0), dtype=np.uint8), origin=np.zeros(2), resolution=1.0)
+EVERYWHERE = SeenSpace(cells=np.zeros((0, 0), dtype=np.bool_), origin=np.zeros(2), resolution=1.0)
 """Observed space of a map that is complete everywhere."""
 
 
@@ -179,7 +168,7 @@ def _judge(
     values: NDArray[np.uint8],
     origin: Floats,
     resolution: float,
-    seen: NDArray[np.uint8],
+    seen: Bools,
     seen_origin: Floats,
     seen_resolution: float,
     poses: Floats,
@@ -269,7 +258,7 @@ def _meets_wall(values: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: 
 
 
 @inner_kernel
-def is_ray_seen(cells: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: float) -> bool:
+def is_ray_seen(cells: Bools, x0: float, y0: float, x1: float, y1: float) -> bool:
     """Tell whether all cells along a ray, in cell units, are observed, by steps of half a cell."""
     dx, dy = x1 - x0, y1 - y0
     n = int(2.0 * np.sqrt(dx * dx + dy * dy)) + 1
@@ -278,6 +267,6 @@ def is_ray_seen(cells: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: f
         x, y = x0 + dx * (k / n), y0 + dy * (k / n)
         if x < 0 or y < 0 or x >= nx or y >= ny:
             return False
-        if cells[int(x), int(y)] == 0:
+        if not cells[int(x), int(y)]:
             return False
     return True

@@ -13,6 +13,8 @@ from typing import Self
 import numpy as np
 
 from planners.kernel import kernel
+from sensorgraph.models.cells.grid import CellIndices, max_cells_met, traverse
+from sensorgraph.models.seen_space import SeenSpace
 from sensorgraph.types import Bools, Floats
 
 N_BINS = 30
@@ -57,30 +59,20 @@ class AnyReading:
 class UnseenSpace:
     """Space that no training ray crossed."""
 
-    corner: Floats
-    """(2,) [m, map] of cell (0, 0)."""
-    side: float
-    """[m] of a cell."""
-    seen: Bools
-    """(nx, ny) cells that training rays crossed."""
+    seen: SeenSpace
+    """The rest of the space."""
     log_survival: Floats
     """(n,) log S_0 at multiples of half a side."""
 
     @classmethod
-    def of(cls, corner: Floats, side: float, seen: Bools, anywhere: AnyReading) -> Self:
+    def of(cls, seen: SeenSpace, anywhere: AnyReading) -> Self:
         """Return the space outside the cells that are seen."""
-        steps = np.arange(math.ceil(2.0 * anywhere.edges[-1] / side) + 2)
-        return cls(
-            corner=np.asarray(corner, dtype=np.float64), side=side, seen=np.ascontiguousarray(seen),
-            log_survival=anywhere.log_survival(0.5 * side * steps),
-        )  # fmt: skip
+        steps = np.arange(math.ceil(2.0 * anywhere.edges[-1] / seen.resolution) + 2)
+        return cls(seen=seen, log_survival=anywhere.log_survival(0.5 * seen.resolution * steps))
 
     def contains(self, points: Floats) -> Bools:
         """Tell which points (..., 2) [m, map] are in it."""
-        cells = np.floor((points - self.corner) / self.side).astype(np.intp)
-        inside = ((cells >= 0) & (cells < self.seen.shape)).all(axis=-1)
-        cells[~inside] = 0
-        return np.asarray(~(inside & self.seen[cells[..., 0], cells[..., 1]]))
+        return ~self.seen.contains(points)
 
     def log_passed(self, starts: Floats, headings: Floats, lengths: Floats) -> Floats:
         """Return the logarithm (n_poses, n_rays) of the probability that it lets rays pass.
@@ -91,26 +83,31 @@ class UnseenSpace:
         headings : (n_poses, n_rays) [rad]
         lengths : (n_rays,) [m] finite.
         """
-        out = np.empty(headings.shape)
-        starts = np.ascontiguousarray(np.broadcast_to(starts, (*headings.shape, 2)))
-        _follow(starts, headings, lengths, self.corner, self.side, self.seen, self.log_survival, out)
+        out, side = np.empty(headings.shape), self.seen.resolution
+        starts = np.broadcast_to(starts, (*headings.shape, 2)) - self.seen.origin
+        n_cells = max_cells_met(float(lengths.max(initial=0.0)), side)
+        at, ends = np.empty((n_cells, 2), dtype=np.int64), np.empty(n_cells)
+        _follow(starts, headings, lengths, side, self.seen.cells, self.log_survival, at, ends, out)
         return out
 
 
 @kernel
 def _follow(
-    starts: Floats, headings: Floats, lengths: Floats, corner: Floats, side: float, seen: Bools,
-    log_survival: Floats, out: Floats,
+    starts: Floats, headings: Floats, lengths: Floats, side: float, seen: Bools, log_survival: Floats,
+    at: CellIndices, ends: Floats, out: Floats,
 ) -> None:  # fmt: skip
-    """Fill out (n_poses, n_rays) with the sum of the changes of log S_0 in unseen cells, in steps of half a cell."""
-    step = 0.5 * side
+    """Fill out (n_poses, n_rays) with the sum of the changes of log S_0 over the unseen cells of each ray."""
     for k in range(headings.shape[0]):
         for b in range(headings.shape[1]):
-            ux, uy, passed = math.cos(headings[k, b]), math.sin(headings[k, b]), 0.0
-            for m in range(min(int(lengths[b] / step), len(log_survival) - 1)):
-                r = (m + 0.5) * step
-                i = math.floor((starts[k, b, 0] + r * ux - corner[0]) / side)
-                j = math.floor((starts[k, b, 1] + r * uy - corner[1]) / side)
+            c, s = math.cos(headings[k, b]), math.sin(headings[k, b])
+            n = traverse(starts[k, b, 0], starts[k, b, 1], c, s, lengths[b], side, at, ends)
+            before, passed = 0.0, 0.0
+            for m in range(n):
+                i, j = at[m]
+                step = min(2.0 * ends[m] / side, len(log_survival) - 1.0)
+                low = min(int(step), len(log_survival) - 2)
+                after = log_survival[low] + (step - low) * (log_survival[low + 1] - log_survival[low])
                 if not (0 <= i < seen.shape[0] and 0 <= j < seen.shape[1] and seen[i, j]):
-                    passed += log_survival[m + 1] - log_survival[m]
+                    passed += after - before
+                before = after
             out[k, b] = passed

@@ -30,9 +30,9 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Prediction
 from sensorgraph.models.cells.model import CellModel
-from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.likelihood import MIN_DENSITY, information_share
+from sensorgraph.models.seen_space import seen_space
 from sensorgraph.sensor_model import ray_likelihoods
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.watching.anywhere import AnyReading, UnseenSpace
@@ -76,6 +76,7 @@ class GraphReadings:
                 "was built with this laser"
             )
         self.graph, self.sensor, self.priors = graph, sensor, priors
+        self.seen = seen_space(graph.model)
         n = sensor.n_rays
         self.rays: Ints = np.unique(np.linspace(0, n - 1, min(n, priors.n_rays)).astype(np.intp))
         """Rays of the sensor that are compared."""
@@ -94,12 +95,6 @@ class GraphReadings:
     def graph_poses(self, base: Floats) -> Floats:
         """Return the poses (..., 3) in the frame of the graph for poses (..., 3) of base_link in map."""
         return np.asarray(compose(base, self._mount))
-
-    def free_area(self) -> float:
-        """Return the area [m²] that training rays crossed."""
-        assert isinstance(self.graph.model, Faces | CellModel)
-        _, side, known = crossed_cells(self.graph.model)
-        return float(known.sum()) * side**2
 
     def evidence(
         self, ranges: Floats, poses: Floats, which: Ints | None = None, *, expected: Prediction | None = None
@@ -173,19 +168,14 @@ class GraphReadings:
 
     def _anywhere(self) -> float:
         """Compute the distribution of readings over poses anywhere in the place; return the evidence of the graph's own."""
-        assert isinstance(self.graph.model, Faces | CellModel)
-        rng = np.random.default_rng(0)
-        corner, side, known = crossed_cells(self.graph.model)
-        cells = np.argwhere(known)
-        cells = cells[rng.integers(len(cells), size=self.priors.n_anywhere)]
-        poses = np.column_stack([corner + (cells + 0.5) * side, rng.uniform(-np.pi, np.pi, len(cells))])
+        poses = self.seen.draw(self.priors.n_anywhere, np.random.default_rng(0))
         repeated = max(round(0.5 / self.priors.independent), 1)  # neighbouring rays show little that is new
         rays = self.own[self.of_pose][::repeated]
         found = self.graph.predict(poses, rays=rays)
         top = self.sensor.range_max
         n_none = float(self._missing(found)[found.answered].sum())
         self.anywhere = AnyReading.of(found.ranges[found.answered], n_none, top)
-        self._unseen = UnseenSpace.of(corner, side, known, self.anywhere)
+        self._unseen = UnseenSpace.of(self.seen, self.anywhere)
         drawn = self.graph.sample(poses, 1, 0, rays=rays, residual_memory=False)[0]
         drawn = np.where(drawn >= top, np.inf, drawn)
         density = self._log_density(drawn, poses, rays, found)

@@ -25,7 +25,7 @@ from logs.transforms import compose, invert
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import find_places
-from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
+from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.kept_scans import KeptScans
@@ -69,9 +69,9 @@ class PoseTracker:
         self, graph: Sensorgraph, readings: GraphReadings, priors: TrackingPriors = TRACKING
     ) -> None:
         walls, normals = walls_of_graph(graph)
-        self.place = known_map(walls, seen_by_graph(graph), normals)
+        self.place = known_map(walls, readings.seen, normals)
         self.readings, self.priors = readings, priors
-        area, (side, turn) = readings.free_area(), priors.place_size
+        area, (side, turn) = readings.seen.area, priors.place_size
         self.log_places = math.log(max(area / side**2, 1.0) * 2 * math.pi / turn)
         """Logarithm of the number of places that can be told apart."""
         self.modes: list[Mode] = []

@@ -9,8 +9,8 @@ import numpy as np
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import RATES
-from sensorgraph.models.crossed_cells import crossed_cells
 from sensorgraph.models.faces.model import Faces
+from sensorgraph.models.seen_space import seen_space
 from sensorgraph.show.figures.face_pieces import (
     mean_by_index,
     pieces_of,
@@ -82,13 +82,12 @@ def model_figure(model: Faces | CellModel, residuals: tuple[Floats, Floats, Floa
 
 def _limits(model: Faces | CellModel) -> tuple[Floats, Floats]:
     """Return the lower left and the upper right corner (2,) [m] of the picture."""
-    corner, side, known = crossed_cells(model)
-    index = np.argwhere(known)
+    seen = seen_space(model)
     if isinstance(model, Faces) and model.faces.n_faces:
         ends = visible_pieces(model).ends.reshape(-1, 2)
         low, high = ends.min(axis=0), ends.max(axis=0)
-    elif len(index):
-        low, high = corner + index.min(axis=0) * side, corner + (index.max(axis=0) + 1) * side
+    elif seen.cells.any():
+        low, high = seen.bounds
     else:
         raise SensorgraphError("the graph has no surface to draw; build it from a run with returns")
     margin = 0.03 * float((high - low).max()) + 0.05
@@ -107,9 +106,9 @@ def _observed_space(axes: Any, model: Faces | CellModel) -> None:
     from matplotlib.colors import to_rgb
 
     axes.set_facecolor(SOLID)
-    corner, side, known = crossed_cells(model)
-    paint = np.where(known[..., None], to_rgb(FLOOR), to_rgb(SOLID))
-    _image(axes, corner, side, paint, zorder=0)
+    seen = seen_space(model)
+    paint = np.where(seen.cells[..., None], to_rgb(FLOOR), to_rgb(SOLID))
+    _image(axes, seen.origin, seen.resolution, paint, zorder=0)
 
 
 def _cells_of(model: Faces | CellModel) -> CellModel | None:
