@@ -10,6 +10,8 @@ from scipy import ndimage
 from planners.arena import wrap
 from planners.types import Bools, Floats, Ints
 
+CELL, HEADINGS = 0.25, 16
+"""[m] Default side of a position cell; default number of heading bins."""
 DWELL_PERIODS = 1.25
 """Minimum stay in a heading bin, in log periods. One period suffices for a log of any phase; the extra quarter
 covers the sampling error of entry and exit times (`python -m benchmarks.coverage_planners`)."""

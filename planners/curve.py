@@ -23,14 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.arena import wrap
-from planners.trajectory import Trajectory
+from planners.trajectory import SAMPLES_AT_A_TIME, Trajectory
 from planners.types import ROUND_OFF, Floats
 from planners.vehicle import Limits
 
 RATE = 50.0
 """[Hz] of exported samples."""
-SAMPLES_AT_A_TIME = 1 << 16
-"""Number of samples processed at a time, so that days of driving fit in memory."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # constants of compiled code, see `planners.kernel`
 
 Profile = tuple[Floats, Floats]

@@ -23,6 +23,7 @@ from typing import Any
 
 from planners.arena import Arena
 from planners.clearance import Barriers
+from planners.coverage import CELL, HEADINGS
 from planners.errors import PlanError
 from planners.joins.ompl_process import INSTALL_HINT
 from planners.ompl_frame import FloorChecks, path_of, pose_of, setup_of, state_of, stop_when
@@ -40,8 +41,6 @@ except ImportError as exc:
 logger = logging.getLogger(__name__)
 
 BASELINE_NAMES = ("random_bounce", "wall_following")
-RASTER_CELL = 0.25
-"""[m] cell of the raster of free space."""
 
 
 class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types that mypy can follow
@@ -54,8 +53,8 @@ class CoveragePlanner(base.Planner):  # type: ignore[misc]  # ompl has no types 
         vehicle: Vehicle,
         *,
         planner: str = "coverage",
-        cell: float = 0.25,
-        headings: int = 16,
+        cell: float = CELL,
+        headings: int = HEADINGS,
         seed: int = 0,
         **options: Any,
     ) -> None:
@@ -144,7 +143,7 @@ def problem(arena: Arena, vehicle: Vehicle, start: Floats, goal: Floats) -> Any:
     keep it.
     """
     barriers = Barriers(arena)
-    free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=RASTER_CELL, start=start)
+    free = reach(arena, barriers, clearance=vehicle.footprint_radius, cell=CELL, start=start)
     check_pose("goal", goal, arena, barriers, free)  # with an invalid goal, OMPL waits until its time is over
     setup = setup_of(arena.bounds, FloorChecks.of(free, barriers, vehicle), is_certified=False)
     space = setup.getSpaceInformation().getStateSpace()

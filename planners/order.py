@@ -24,8 +24,6 @@ from planners.vehicle import Limits
 
 KICKS = 60
 """Number of perturbations of a finished order by one to three random swaps; each is kept if it shortens the tour."""
-MAX_MOVES = 4000
-"""Maximum number of improving moves."""
 MANY_ENDS = 1000
 """Number of lane ends above which paths are searched only nearby and orders are improved by windows."""
 NEAR = 8.0
@@ -167,7 +165,6 @@ class _Tour:
 
     def __init__(self, cost: Floats, nodes: Ints, fixed: int, pinned: bool = False) -> None:
         self.cost, self.nodes, self.fixed, self.pinned = cost, nodes, fixed, pinned
-        self.moves = 0
 
     @classmethod
     def greedy(cls, cost: Floats, first: int | None) -> _Tour:
@@ -189,8 +186,8 @@ class _Tour:
 
     def improve(self) -> None:
         """Apply the best reversal or relocation until none shortens the tour."""
-        while self.moves < MAX_MOVES and (self._reverse() or self._relocate()):
-            self.moves += 1
+        while self._reverse() or self._relocate():
+            pass
 
     def improve_by_windows(self) -> None:
         """Improve windows that overlap by half; their first and last runs are fixed."""

@@ -18,7 +18,7 @@ from planners.battery import Session, battery_sessions, chain_sessions, check_ba
 from planners.bound import lower_bound
 from planners.cars.reachability import best_start, returnable_set
 from planners.clearance import Barriers
-from planners.coverage import Coverage
+from planners.coverage import CELL, HEADINGS, Coverage
 from planners.curve import Curve
 from planners.errors import PlanError
 from planners.interrupt import defer_interrupt
@@ -84,8 +84,8 @@ def plan(
     vehicle: Vehicle,
     *,
     planner: str = "coverage",
-    cell: float = 0.25,
-    headings: int = 16,
+    cell: float = CELL,
+    headings: int = HEADINGS,
     seed: int = 0,
     start: Floats | None = None,
     rate: float = 10.0,

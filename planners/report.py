@@ -15,14 +15,15 @@ from planners import holes
 from planners.battery import Session
 from planners.check import check_parts
 from planners.coverage import Coverage
+from planners.curve import RATE
 from planners.task import PlannedDrive, Task
 from planners.trajectory import Trajectory
 from planners.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
-CHECK_RATE = 100.0
-"""[Hz] rate of the checked samples."""
+CHECK_RATE = 2 * RATE
+"""[Hz] rate of the checked samples: between those that are exported, too."""
 WARN_BELOW = 0.99
 """A warning is given if the start reaches a smaller share of the places where the robot fits."""
 

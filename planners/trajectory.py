@@ -16,8 +16,8 @@ from planners.types import Floats
 
 COLUMNS = ("t", "x", "y", "phi", "v", "omega", "primitive")
 ROW = "%.6f," * 6 + "%s\n"
-ROWS_AT_A_TIME = 100_000
-"""Number of rows processed at a time."""
+SAMPLES_AT_A_TIME = 1 << 16
+"""Number of samples processed at a time, so that days of driving fit in memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,8 +59,8 @@ class Trajectory:
     def length(self) -> float:
         """[m] distance driven by base_link, forward and backward."""
         places, total = self.poses[:, :2], 0.0
-        for first in range(0, len(places) - 1, ROWS_AT_A_TIME):
-            total += float(np.hypot(*np.diff(places[first : first + ROWS_AT_A_TIME + 1], axis=0).T).sum())
+        for first in range(0, len(places) - 1, SAMPLES_AT_A_TIME):
+            total += float(np.hypot(*np.diff(places[first : first + SAMPLES_AT_A_TIME + 1], axis=0).T).sum())
         return total
 
     def at(self, stamps: Floats) -> tuple[Floats, Floats]:
@@ -75,8 +75,8 @@ class Trajectory:
         quoted = {label: _quoted(label) for label in np.unique(self.primitives).tolist()}
         with atomic_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
             file.write(",".join(COLUMNS) + "\n")
-            for first in range(0, len(self.stamps), ROWS_AT_A_TIME):
-                some = slice(first, first + ROWS_AT_A_TIME)
+            for first in range(0, len(self.stamps), SAMPLES_AT_A_TIME):
+                some = slice(first, first + SAMPLES_AT_A_TIME)
                 rows = np.column_stack([self.stamps[some], self.poses[some], self.twists[some]]).tolist()
                 labels = [quoted[label] for label in self.primitives[some].tolist()]
                 file.write("".join(ROW % (*row, label) for row, label in zip(rows, labels, strict=True)))

@@ -14,7 +14,11 @@ Int16s = NDArray[np.int16]
 Int32s = NDArray[np.int32]
 
 ROUND_OFF = 1e-9
-"""[m, rad, m/s, rad/s] Smaller lengths, angles and speeds are round-off."""
+"""[m, rad, m/s, rad/s] Smaller lengths, angles and speeds are round-off; so are smaller shares."""
+SAME_PLACE = 1e-6
+"""[m, rad] Corners that are nearer are one, and coordinates that differ by less are equal."""
+MAX_COORDINATE = 1e8
+"""[m] Maximum distance from the origin of map; a larger coordinate is an error."""
 
 Progress = Callable[[int, int], None]
 """Called with (done, total) during long work."""

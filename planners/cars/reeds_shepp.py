@@ -24,12 +24,8 @@ from numpy.typing import NDArray
 from planners.kernel import inner_kernel, kernel, outer_kernel
 from planners.types import ROUND_OFF, Floats, Ints
 
-MAX_ARCS = 5
-"""Number of arcs of the longest word."""
 Pose = tuple[float, float, float]
 """[m, m, rad]"""
-N_FAMILIES = 8
-"""Number of word families of Reeds and Shepp, without mirror images."""
 FAMILY_BENDS = np.array(
     [
         [1, 0, 1, 0, 0],
@@ -43,6 +39,8 @@ FAMILY_BENDS = np.array(
     ]
 )
 """(N_FAMILIES, MAX_ARCS) 1 steers left, -1 right."""
+N_FAMILIES, MAX_ARCS = FAMILY_BENDS.shape
+"""Number of word families of Reeds and Shepp, without mirror images, and of arcs of the longest word."""
 HAS_REVERSED_FORM = np.array([False, False, True, False, False, True, True, False])
 """(N_FAMILIES,) families whose reversed words belong to another family."""
 DUBINS_BENDS = np.array([[1, 0, 1], [-1, 0, -1], [1, 0, -1], [-1, 0, 1], [-1, 1, -1], [1, -1, 1]])

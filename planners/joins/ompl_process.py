@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from planners.errors import PlanError
-from planners.types import Floats
+from planners.types import ROUND_OFF, Floats
 
 INSTALL_HINT = (
     "OMPL is not installed; pip install 'ompl>=2.0.1,<2.1' (Linux or macOS 15+; on Windows use WSL)"
@@ -51,8 +51,6 @@ CHECK_STEP = 0.01
 CLEARANCE_SLACK = 0.002
 """[m] Added to the clearance in OMPL where start and goals allow it. A certified path may be this much below the
 clearance."""
-ROUNDING = 1e-9
-"""[m] below the clearance at which a state still counts as valid."""
 
 
 class _OmplServer:
@@ -304,7 +302,7 @@ class OmplProblem(ABC):
     def set_clearance(self, places: Floats) -> None:
         """Set the clearance of a query, with some slack if these places (n, 2) [m] allow it."""
         lowest = min(self.field.value(*place) for place in places.tolist())
-        self.field.clearance = min(self.clearance + CLEARANCE_SLACK, max(lowest, self.clearance)) - ROUNDING
+        self.field.clearance = min(self.clearance + CLEARANCE_SLACK, max(lowest, self.clearance)) - ROUND_OFF
 
     def solutions(self, here: Any, there: list[Any], places: Floats) -> list[Floats]:
         """Return paths to one of the goals, sampled around places (n, 2) [m]; an empty list if none is found."""
@@ -317,7 +315,7 @@ class OmplProblem(ABC):
             if first is not None:
                 others = [self._attempt(here, there, stage.iterations) for _ in range(self.n_solutions - 1)]
                 return [first, *(path for path in others if path is not None)]
-            self.field.clearance = self.clearance - ROUNDING
+            self.field.clearance = self.clearance - ROUND_OFF
         return []
 
     def _attempt(self, here: Any, there: list[Any], iterations: int) -> Floats | None:

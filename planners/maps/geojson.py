@@ -26,7 +26,7 @@ from shapely.validation import explain_validity
 
 from planners.arena import Arena
 from planners.errors import PlanError
-from planners.types import Floats
+from planners.types import MAX_COORDINATE, Floats
 
 KINDS = ("arena", "obstacle", "wall")
 PROPERTIES = ("name", "kind", "surfaces", "walls", "names")
@@ -35,8 +35,6 @@ GEOMETRIES = {
     "obstacle": ("Polygon", "MultiPolygon"),
     "wall": ("LineString", "MultiLineString"),
 }
-MAX_COORDINATE = 1e8
-"""[m] maximum distance from the origin; a larger coordinate is an error."""
 MIN_EXTENT = 0.05
 """[m] An arena smaller than this is assumed to be in degrees."""
 _EDGE = re.compile(r"(?P<stem>.*)/edge_(?P<number>0|[1-9]\d*)")

@@ -21,7 +21,7 @@ from shapely.validation import explain_validity
 
 from planners.arena import Arena
 from planners.errors import PlanError
-from planners.maps.geojson import MAX_COORDINATE
+from planners.types import MAX_COORDINATE
 
 KIND = "no_go"
 

@@ -14,12 +14,10 @@ import numpy as np
 from planners.coverage import Coverage
 from planners.curve import NODES, WEIGHTS, Curve
 from planners.kernel import inner_kernel, outer_kernel
-from planners.types import Bools, Floats
+from planners.types import ROUND_OFF, Bools, Floats
 
 PHASES = 10
 """Number of phases of the log's clock for which every bin must be recorded."""
-END_TOLERANCE = 1e-9
-"""Maximum time from the end of the drive to the last logged pose, as a share of the log period."""
 MIN_CLOSED_FORM_TURN = 0.05
 """[rad] and [rad/s] above which the closed form of an arc keeps its precision; below, quadrature is used."""
 
@@ -58,7 +56,7 @@ def mark(
     for p in range(len(first)):
         stamp, count = first[p], 0
         for k in range(n):
-            last = ends[k] + (END_TOLERANCE / rate if k == n - 1 else 0.0)
+            last = ends[k] + (ROUND_OFF / rate if k == n - 1 else 0.0)
             while stamp < last or (k == n - 1 and stamp <= last):
                 dt = min(stamp, ends[n - 1]) - starts[k]
                 phi, omega, alpha = poses[k, 2], twists[k, 1], rates[k, 1]
