@@ -18,7 +18,7 @@ SHARE = 0.3
 LATER = (2, 3)
 """Numbers of scans after which the same scanner may be next."""
 MIN_SCANS, MAX_SCANS = 20, 500
-"""Numbers of scans that are compared."""
+"""Numbers of scans that are compared; of fewer, nothing is usual."""
 MIN_RAYS = 10
 """Fewer rays that return in both scans may differ by chance."""
 

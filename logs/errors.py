@@ -3,6 +3,9 @@
 MAX_TEXT = 1200
 """[characters] maximum length of a message; longer text from a malformed file is cut in the middle."""
 
+MAX_LISTED = 5
+"""Number of names, places or notes that a message lists; it counts the others."""
+
 
 class LogError(ValueError):
     """A file cannot be used; the one-line message gives the value found, the value expected and the remedy."""

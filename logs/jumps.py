@@ -18,6 +18,8 @@ class JumpLimits:
 
     speed: float = 5.0
     """[m/s] maximum speed; mobile robots are slower."""
+    noise: float = 0.1
+    """[m] shorter steps are noise, slip, or scatter of the stamps."""
     distance: float = 1.0
     """[m] shorter steps may be noise of the reference pose."""
     untimed: float = 2.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from logs.jumps import JUMP_LIMITS
 from logs.publishers import PUBLISHER_LIMITS as ROBOT
 from logs.transforms import difference
 from logs.types import Bools, Floats, Ints
@@ -18,8 +19,6 @@ MAX_LENGTH = 5
 """Maximum number of wrong poses in a row, as of a message that is damaged or a register that is read as 0."""
 SIGNIFICANCE = 10.0
 """Distance of a wrong pose, relative to the median distance of all poses, which is their noise."""
-MIN_JUMP = 0.1
-"""[m] Smallest jump, with turns as distances (6°); shorter ones are slip, or noise of the stamps."""
 TIMING = 3.0
 """Duration of a step, relative to that by its stamps, at most: stamps scatter where messages arrive late."""
 MAX_SHARE = 0.1
@@ -108,7 +107,7 @@ def jumps(
         most[side] = ROBOT.distance + ROBOT.acceleration * TIMING * dt * (TIMING * dt + took[near]) / 2
     excess[~np.isfinite(excess)] = 0.0
     noise = float(np.median(excess.min(axis=0)))
-    is_jump = (excess > np.maximum(most, max(MIN_JUMP, SIGNIFICANCE * noise))).all(axis=0)
+    is_jump = (excess > np.maximum(most, max(JUMP_LIMITS.noise, SIGNIFICANCE * noise))).all(axis=0)
     found = index[np.flatnonzero(is_jump) + 2] - 1
     return found if len(found) <= MAX_SHARE * len(steps) else np.zeros(0, dtype=np.intp)
 
@@ -141,7 +140,7 @@ def hung_poses(
     spans, ways = np.maximum(np.diff(stamps[first]), usual), np.linalg.norm(steps, axis=1)
     speeds = np.divide(ways, spans, out=np.zeros(len(ways)), where=spans > 0)
     reach = TIMING * spans[own] * np.maximum(speeds[before], speeds[after])
-    is_hung = (excess > np.maximum(most, MIN_JUMP)) & (ways[own] <= reach)
+    is_hung = (excess > np.maximum(most, JUMP_LIMITS.noise)) & (ways[own] <= reach)
     for k in np.flatnonzero(is_hung) + 1:
         hung[first[k] + 1 : first[k + 1]] = True
     return hung

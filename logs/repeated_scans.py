@@ -14,9 +14,8 @@ from logs.notes import with_note
 from logs.run import Run
 from logs.transforms import interpolate, wrap
 from logs.types import Bools, Floats, Ints
+from logs.usability import MIN_STEP
 
-MOVED = 0.05
-"""[m, rad] motion during equal scans, in total, above which they are repeated."""
 MIN_RETURNS = 10
 """Scans with fewer returns may be equal by chance."""
 MIN_UNKNOWN = 5
@@ -30,7 +29,7 @@ def blank_repeated(run: Run) -> Run:
         return run
     starts = np.flatnonzero(np.diff(equal.astype(np.int8), prepend=0) == 1)
     ends = np.flatnonzero(np.diff(equal.astype(np.int8), append=0) == -1)
-    if _way(run, starts - 1, ends) > MOVED:  # so the driver repeats scans, and all equal ones are repeated
+    if _way(run, starts - 1, ends) > MIN_STEP:  # so the driver repeats scans, and all equal ones are repeated
         ranges = run.ranges.copy()
         ranges[equal] = np.nan
         longest = float((run.stamps[ends] - run.stamps[starts - 1]).max())

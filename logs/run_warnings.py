@@ -19,8 +19,6 @@ MIN_GAP = 0.5
 """[s] ... and also exceeds this duration."""
 USUAL_PERIODS = (1e-3, 20.0)
 """[s] a scan period outside of this suggests stamps in another unit."""
-MIN_JUMP = 0.1
-"""[m] shorter jumps count as noise of the reference pose."""
 MIN_FROZEN = 0.5
 """[m, rad] motion of the odometry while the pose keeps exactly its place, or its heading, above which the reference has
 stopped."""
@@ -92,7 +90,7 @@ def _pose_warnings(run: Run) -> list[str]:
             out.append("the pose never changes; check that the robot moved and the reference was running")
         steps = np.diff(stamps)
         moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        jumps = (moved > MIN_JUMP) & (moved > JUMP_LIMITS.speed * np.maximum(steps, 1e-3))
+        jumps = (moved > JUMP_LIMITS.noise) & (moved > JUMP_LIMITS.speed * np.maximum(steps, 1e-3))
         if run.meta.get("clock") == "assumed":
             jumps = moved > JUMP_LIMITS.untimed
         if jumps.any():

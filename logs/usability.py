@@ -31,9 +31,7 @@ MIN_TURN = np.pi
 MIN_ONE_SIDE = 0.15
 """Minimum share of the turns to the rarer side."""
 MIN_STEP = 0.05
-"""[m] smallest motion that is counted, so that noise at standstill does not add up."""
-MIN_STEP_TURN = 0.05
-"""[rad] the same for turns."""
+"""[m, rad] smallest motion that is counted, so that noise at standstill does not add up."""
 SAME_PLACE = 1.0
 """[m] positions that are closer show the same place ..."""
 MIN_APART = 5.0
@@ -121,7 +119,7 @@ def _headings(poses: Floats) -> Floats:
     """Return the headings (n_kept,), each at least a step from the previous one."""
     kept: list[float] = []
     for phi in poses[:, 2].tolist():
-        if not kept or abs((phi - kept[-1] + np.pi) % (2 * np.pi) - np.pi) > MIN_STEP_TURN:
+        if not kept or abs((phi - kept[-1] + np.pi) % (2 * np.pi) - np.pi) > MIN_STEP:
             kept.append(phi)
     return np.array(kept)
 
@@ -170,7 +168,7 @@ def _locate(run: Run, ground: Ground | None) -> tuple[Verdict, str]:
         return "limited", f"only {100 * finite.mean():.0f} % of the rays return"
     if not len(run.odom_stamps):
         return "limited", "no odometry: motion along a corridor, or in the open, cannot be followed"
-    if ground is not None and ground.distance < MIN_DISTANCE and ground.turn < MIN_STEP_TURN:
+    if ground is not None and ground.distance < MIN_DISTANCE and ground.turn < MIN_STEP:
         return (
             "limited",
             "the odometry never moves: motion along a corridor, or in the open, cannot be followed",

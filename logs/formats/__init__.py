@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.errors import LogError
+from logs.errors import MAX_LISTED, LogError
 from logs.formats import carmen, mcap_file, rosbag, table, wean
 from logs.formats.foreign import described
 from logs.formats.text import first_bytes
@@ -18,8 +18,6 @@ from logs.run import OccupancyMap, Run
 from logs.types import Mounts, Progress, ReadOptions
 
 BAG_METADATA = "metadata.yaml"
-MAX_LISTED = 5
-"""Number of files of a folder that a message lists."""
 
 
 class Format(NamedTuple):

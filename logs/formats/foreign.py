@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 
+from logs.errors import MAX_LISTED
 from logs.formats.text import parses_as_number
 from logs.inflation import LZ4_MAGIC, ZSTD_MAGIC
 from logs.types import Floats
@@ -51,8 +52,6 @@ TRAJECTORIES = {8: "TUM: stamp x y z qx qy qz qw", 12: "KITTI: 3 x 4 matrices"}
 """Numbers in a line of a trajectory -> its format."""
 RANGES_COLUMN = re.compile(r"\branges(\b|_?\d)")
 """Name of a column with ranges of a topic: `/scan/ranges[0]`, `ranges_0`, `field.ranges0`, or `ranges` with all of them."""
-MAX_COLUMNS = 8
-"""Number of column names that a message lists."""
 UNIT_TOLERANCE = 0.01
 """Deviation of the norm of a rotation from 1 that rounded numbers have."""
 
@@ -118,9 +117,9 @@ def _described_table(lines: list[str]) -> str:
                 f"a table of a LaserScan topic (with the column {ranges[0]}), as PlotJuggler or bagpy export it; give the log from "
                 "which it was made, or name the columns t and r0, r1, ... below a line such as `# bearings: -1.57 to 1.57 in 181`"
             )
-        more = ", ..." if len(names) > MAX_COLUMNS else ""
+        more = ", ..." if len(names) > MAX_LISTED else ""
         return (
-            f"a table without ranges (its columns are {', '.join(names[:MAX_COLUMNS])}{more}); give one with the columns "
+            f"a table without ranges (its columns are {', '.join(names[:MAX_LISTED])}{more}); give one with the columns "
             "t and r0, r1, ..."
         )
     return ""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.clocks import CLOCK_LIMITS
-from logs.errors import LogError
+from logs.errors import MAX_LISTED, LogError
 from logs.notes import ODOMETRY_LEFT_OUT
 from logs.repeated_scans import blank_repeated
 from logs.ros import own_record
@@ -46,9 +46,6 @@ from logs.run import RangeSensor, Run
 from logs.sensor import median_step
 from logs.transforms import Stamps
 from logs.types import Floats, Mounts, ReadOptions
-
-MAX_LISTED = 4
-"""Number of unused sensors that a note lists."""
 
 
 def to_run(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from logs.alternating_scans import MIN_SCANS
 from logs.clocks import UNITS
 from logs.repeated_scans import equal_to_previous
 from logs.ros.laser_scan import LaserScans
@@ -88,8 +89,6 @@ WITHIN = 0.2
 """Step within a burst, relative to the mean step, at most; jitter of single arrivals is smaller than the rest."""
 MIN_REGULAR = 0.7
 """Minimum share of the bursts with the usual number of scans; others are chance, as of a busy machine."""
-MIN_SCANS = 20
-"""Fewer scans have no usual number."""
 
 
 def even_times(stamps: Stamps) -> tuple[Stamps, int] | None:

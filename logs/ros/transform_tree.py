@@ -8,10 +8,11 @@ from heapq import heappop, heappush
 
 import numpy as np
 
+from logs.signals import SECOND
 from logs.transforms import Stamps, interpolate, to_planar, to_translation_quaternion, wrap
 from logs.types import Floats
 
-HOLD_NS = 1_000_000_000
+HOLD_NS = SECOND
 """[ns] time for which a slow correction such as map -> odom stays valid after its last sample."""
 
 
