@@ -25,16 +25,15 @@ from robotmodic_ident.model import Narmax
 from robotmodic_ident.prediction.recursion import UNLIMITED
 from robotmodic_ident.records import Record, Records, as_records, check_names, cut
 from robotmodic_ident.selection.candidates import dictionary, linear_part, output_limits
-from robotmodic_ident.selection.free_run_terms import MAX_TERMS, SHORT_DESCENT, FreeRunTerms, Simulated
+from robotmodic_ident.selection.criteria import MAX_TERMS, PATIENCE
+from robotmodic_ident.selection.free_run_terms import SHORT_DESCENT, FreeRunTerms, Simulated
 from robotmodic_ident.selection.hidden_stretches import HiddenStretches, whole_mean_square
 from robotmodic_ident.selection.readable_forms import friction_models, magnitude_models
 from robotmodic_ident.terms import Terms
-from robotmodic_ident.trials import AUTO, MIN_ORDER_GAIN, AutoSettings, Trial
+from robotmodic_ident.trials import AUTO, MIN_ORDER_GAIN, MIN_SURE_GAIN, AutoSettings, Trial
 
 logger = logging.getLogger(__name__)
 
-PATIENCE = 2
-"""Number of consecutive orders without a gain after which the search ends."""
 MIN_ONE_STEP_GAIN = 0.15
 """Minimum relative decrease of the one-step error of a linear model for a larger order."""
 MIN_LIMIT_GAIN = 0.02
@@ -285,10 +284,6 @@ def _structure_error(model: Narmax, stretches: HiddenStretches, terms: Terms) ->
     return float(np.mean(squares))
 
 
-MIN_WHOLE_GAIN = 0.2
-"""Minimum relative decrease of the RMSE over whole records for replacing the selected model."""
-MAX_WHOLE_LOSS = 0.1
-"""Maximum relative increase of the RMSE over whole records in exchange for fewer terms."""
 MAX_FRICTION_ROWS = 25_000
 """Number of samples, from the start of the records, for estimating friction; a motor drifts slowly."""
 
@@ -308,11 +303,11 @@ def over_whole_records(
     found = [(error(one), one, trial) for trial in trials for one in trial.found]
     if not found:
         return model, best
-    worth = min(found, key=lambda one: one[0])[0] * (1.0 + MAX_WHOLE_LOSS) ** 2
+    worth = min(found, key=lambda one: one[0])[0] * (1.0 + MIN_SURE_GAIN) ** 2
     least, other, trial = min(
         (one for one in found if one[0] <= worth), key=lambda one: len(one[1].terms), default=found[0]
     )
-    if not least < (1.0 - MIN_WHOLE_GAIN) ** 2 * error(model):
+    if not least < (1.0 - MIN_ORDER_GAIN) ** 2 * error(model):
         return model, best
     kept = other
     if not other.is_magnitude:

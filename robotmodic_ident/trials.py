@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from robotmodic_ident.model import Narmax
 
 MIN_ORDER_GAIN = 0.2
-"""Minimum relative decrease of the RMSE for a larger order: the spread over folds of about 1,000 samples."""
+"""Minimum relative decrease of the RMSE for a larger order, or another model: the spread over folds of about 1,000 samples."""
 MIN_SURE_GAIN = 0.1
-"""Minimum relative decrease of the RMSE for a larger order if the error decreases in every fold."""
+"""Minimum relative decrease of the RMSE for a larger order if the error decreases in every fold; an increase that is worth
+fewer terms over whole records."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ from robotmodic_ident.estimation.prediction_error import NonlinearLeastSquares
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.prediction.recursion import NOISE_NAME
 from robotmodic_ident.records import Record, lagged
-from robotmodic_ident.selection.criteria import penalties
+from robotmodic_ident.selection.criteria import CONVERGED, MAX_STEPS, PATIENCE, penalties
 from robotmodic_ident.selection.process_terms import ProcessTermSelection
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
@@ -25,14 +25,8 @@ from robotmodic_ident.validation.residual_tests import validate
 
 MAX_ROUNDS = 8
 """Maximum number of alternations between selecting process terms and estimating the noise; 2 or 3 are usual."""
-MAX_ELS_STEPS = 30
-"""Maximum number of steps of extended least squares, which ends when a step brings no gain."""
-ELS_CONVERGED = 1e-10
-"""Relative gain of a step below which extended least squares ends."""
 MAX_LAGS = 8
 """[samples] maximum noise lag for `auto`."""
-PATIENCE = 2
-"""Maximum number of consecutive lags that do not lower EBIC; for noise with e(k-2) alone, the first does not."""
 MAX_PRODUCTS = 3
 """Maximum number of products of noise and signals."""
 MAX_PRODUCT_LAG = 2
@@ -102,13 +96,13 @@ def _extended_least_squares(model: Narmax, records: Sequence[Record], noise: Ter
     )
     problem = NonlinearLeastSquares(best.recursion(), records)
     least, *_ = problem.evaluate(best.parameters)
-    for _ in range(MAX_ELS_STEPS):
+    for _ in range(MAX_STEPS):
         rows = lagged(_with_signal(records, _noise_of(best, records)), terms, [model.output])
         known = np.isfinite(rows.targets[:, 0])
         phi = terms.matrix(rows.columns, model.scale, n=len(known))[known]
         theta = np.linalg.lstsq(phi, rows.targets[known, 0], rcond=None)[0]
         cost, *_ = problem.evaluate(theta)
-        if not cost < least * (1.0 - ELS_CONVERGED):  # no gain, or the noise model is not invertible
+        if not cost < least * (1.0 - CONVERGED):  # no gain, or the noise model is not invertible
             break
         best, least = replace(best, theta=theta[:n], noise_theta=theta[n:]), cost
     return best

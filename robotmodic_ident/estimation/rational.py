@@ -17,21 +17,13 @@ from robotmodic_ident.errors import IdentError
 from robotmodic_ident.estimation.prediction_error import Estimate, NonlinearLeastSquares
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record, lagged
-from robotmodic_ident.selection.criteria import penalties
+from robotmodic_ident.selection.criteria import CONVERGED, MAX_STEPS, MAX_TERMS, penalties
 from robotmodic_ident.terms import CONSTANT, Terms
 from robotmodic_ident.types import Floats
 
-MAX_REWEIGHTINGS = 20
-"""Maximum number of solutions of the linear form with rows divided by the last denominator."""
-REWEIGHTING_CONVERGED = 1e-10
-"""Relative gain of such a solution below which the iteration ends."""
-MAX_ADDITIONS = 30
-"""Maximum number of terms added during the search."""
 START_UP = 10
 """[samples] after the largest lag that are not scored, because the noise before the start is unknown.
 All structures are compared on the same samples, also those with smaller lags."""
-MIN_GAIN = 1e-9
-"""Minimum relative decrease of the criterion for a change of the structure."""
 
 
 def times_output(denominator: Terms, output: str) -> Terms:
@@ -71,12 +63,12 @@ def _reweighted(model: Narmax, records: Sequence[Record], upper: Terms, lower: T
     bottom = lower.matrix(rows.columns, model.scale, n=len(known))[known]
     d, least = np.ones(len(y)), np.inf
     best: Floats = np.zeros(len(upper) + len(lower))
-    for _ in range(MAX_REWEIGHTINGS):
+    for _ in range(MAX_STEPS):
         phi = np.column_stack([top, -y[:, None] * bottom])
         theta = np.linalg.lstsq(phi / d[:, None], y / d, rcond=None)[0]
         d = 1.0 + bottom @ theta[len(upper) :]
         cost = float(np.sum((y - top @ theta[: len(upper)] / d) ** 2))
-        if not np.isfinite(cost) or cost >= least * (1.0 - REWEIGHTING_CONVERGED):
+        if not np.isfinite(cost) or cost >= least * (1.0 - CONVERGED):
             break
         best, least = theta, cost
     err = dict(zip(model.terms.names, model.err.tolist(), strict=True))
@@ -121,7 +113,7 @@ class RationalStructureSearch:
         return best.model
 
     def _grown(self, best: _Candidate) -> _Candidate:
-        for _ in range(MAX_ADDITIONS):
+        for _ in range(MAX_TERMS):
             name, start = self._most_promising(best)
             if start is None:
                 break
@@ -130,7 +122,7 @@ class RationalStructureSearch:
                 shrunk := self._without_least(grown, keep=name)
             ) is not None and shrunk.value < grown.value:
                 grown = shrunk
-            if not grown.value < best.value - MIN_GAIN * abs(best.value):
+            if not grown.value < best.value - CONVERGED * abs(best.value):
                 break
             best = grown
         return best
@@ -139,7 +131,7 @@ class RationalStructureSearch:
         """Return the best structure found while dropping terms one by one, or the given one."""
         least, now = best, self._without_least(best)
         while now is not None:
-            if now.value < least.value - MIN_GAIN * abs(least.value):
+            if now.value < least.value - CONVERGED * abs(least.value):
                 least = now
             now = self._without_least(now)
         return least

@@ -21,7 +21,7 @@ KIND_ABS, KIND_TANH = 7, 8
 """Kinds of factors."""
 COL_LAG, COL_OF_NOISE, COL_KIND, COL_HARMONIC, COL_FIRST, COL_SECOND, COL_EXPONENT, COL_MINUS = range(8)
 """Columns of the integer table of factors."""
-N_COLUMNS = 8
+N_COLUMNS = COL_MINUS + 1
 GROUP_NUMERATOR, GROUP_DENOMINATOR, GROUP_NOISE = range(3)
 """Part of the model that contains a term: ŷ = Σ numerator / (1 + Σ denominator) + Σ noise."""
 

@@ -12,12 +12,11 @@ from robotmodic_ident.records import Records, as_records, lags
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
-MIN_AT_LIMIT = 5
-"""Minimum number of samples exactly at a limit."""
 NEAR_VALUES = 10
 """Number of distinct values next to a limit with which it is compared."""
 LIMIT_RATIO = 5
-"""Minimum ratio of the count of a limit to that of any near value; neighbouring quantised levels have similar counts."""
+"""Minimum ratio of the count of a limit to that of any near value, and its minimum count; neighbouring quantised levels have
+similar counts."""
 
 
 def dictionary(output: str, inputs: Sequence[str], order: int, degree: int, max_product_lag: int) -> Terms:
@@ -52,4 +51,4 @@ def output_limits(records: Records, output: str) -> tuple[float, float]:
 def _upper_limit(values: Floats) -> float:
     distinct, counts = np.unique(values, return_counts=True)
     near = int(counts[-1 - NEAR_VALUES : -1].max(initial=1))
-    return float(distinct[-1]) if counts[-1] >= max(MIN_AT_LIMIT, LIMIT_RATIO * near) else float("inf")
+    return float(distinct[-1]) if counts[-1] >= LIMIT_RATIO * near else float("inf")

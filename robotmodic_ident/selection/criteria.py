@@ -21,6 +21,14 @@ Criterion = Literal["aic", "bic", "ebic", "cv", "n_terms", "err_tol"]
 Stop = Criterion | Literal["exhausted"]
 """Reason why a selection ended: its criterion, or `exhausted` if no candidate term remained."""
 INFORMATION = ("aic", "bic", "ebic")
+PATIENCE = 2
+"""Number of consecutive larger models without a gain after which a search ends; of two lags, the first may bring none."""
+CONVERGED = 1e-10
+"""Relative gain below which a step or an exchange of terms brings nothing, and an iteration ends."""
+MAX_STEPS = 30
+"""Maximum number of steps of an iteration that ends when a step brings no gain."""
+MAX_TERMS = 30
+"""Maximum number of terms of a search that adds terms one by one."""
 
 
 def penalties(criterion: str, n_max: int, n_candidates: int, count: NDArray[np.int64]) -> Floats:

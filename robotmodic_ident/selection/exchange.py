@@ -16,11 +16,10 @@ from __future__ import annotations
 import numpy as np
 
 from robotmodic_ident.kernel import inner_kernel, kernel
+from robotmodic_ident.selection.criteria import CONVERGED
 from robotmodic_ident.selection.forward import DEPENDENCE_TOLERANCE, TIE_TOLERANCE
 from robotmodic_ident.types import Bools, Floats, Ints
 
-MIN_EXCHANGE_GAIN = 1e-10
-"""Minimum relative decrease of the residual sum of squares for an exchange."""
 MAX_PASSES = 6
 """Maximum number of passes up and down over all sizes; most outputs need 2."""
 EXCHANGES_PER_SIZE = 4
@@ -74,7 +73,7 @@ def best_removal(a: Floats, inside: Bools, locked: Bools) -> int:
 def exchange(a: Floats, inside: Bools, locked: Bools, usable: Bools) -> bool:
     """Make the best exchange of one term for another; return False if none lowers the residual sum of squares."""
     m = len(a) - 1
-    least = -MIN_EXCHANGE_GAIN * max(a[m, m], 1e-15)
+    least = -CONVERGED * max(a[m, m], 1e-15)
     out, into = -1, -1
     for i in range(m):
         if not inside[i] or locked[i]:
@@ -138,7 +137,7 @@ def sweep_from(a: Floats, original: Floats, inside: Bools) -> None:
 def keep_best(a: Floats, inside: Bools, size: int, rss: Floats, sets: Bools) -> bool:
     """Store the set if it is the best of its size so far; return whether it is."""
     value = max(a[len(a) - 1, len(a) - 1], 0.0)
-    if value < rss[size] * (1.0 - MIN_EXCHANGE_GAIN) - 1e-16:
+    if value < rss[size] * (1.0 - CONVERGED) - 1e-16:
         rss[size] = value
         copy_mask(inside, sets[size])
         return True

@@ -19,6 +19,7 @@ from robotmodic_ident.estimation.prediction_error import LevenbergMarquardt
 from robotmodic_ident.estimation.simulation_error import FreeRunLeastSquares
 from robotmodic_ident.model import Narmax, among
 from robotmodic_ident.records import Record, blocks
+from robotmodic_ident.selection.criteria import MAX_TERMS, PATIENCE
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
@@ -31,16 +32,12 @@ SHOOTING_LENGTHS = (3, 10, 30, 100, 300, 1000)
 """[samples] lengths of the sections for multiple shooting, if a free run over the whole record diverges."""
 
 
-MAX_TERMS = 30
-"""Maximum number of terms."""
 N_TRIALS = 3
 """Number of most promising terms that are tried by a descent at each size."""
 MIN_GAIN = 1e-2
 """Minimum relative decrease of the sum of squares for a larger model."""
 MAX_LOSS = 0.02
 """Maximum relative increase of the sum of squares for removing a term of the initial model."""
-PATIENCE = 2
-"""Number of consecutive sizes without that decrease after which the search ends."""
 
 
 @dataclass(frozen=True, eq=False)

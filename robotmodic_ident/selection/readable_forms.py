@@ -17,6 +17,7 @@ from robotmodic_ident.fitting import fit
 from robotmodic_ident.model import Narmax
 from robotmodic_ident.records import Record
 from robotmodic_ident.selection.candidates import dictionary
+from robotmodic_ident.selection.criteria import MAX_STEPS
 from robotmodic_ident.terms import Terms
 from robotmodic_ident.types import Floats
 
@@ -34,8 +35,6 @@ TIME_CONSTANTS = (1.0, 4.0, 16.0)
 """[samples] time constants of the smoothed input whose sign is the initial guess."""
 DELAYS = (0, 2, 5)
 """[samples] delays of the smoothed input."""
-MAX_ROUNDS = 12
-"""Maximum number of updates of the signs."""
 
 
 def friction_models(
@@ -132,7 +131,7 @@ def _with_settled_signs(
 ) -> tuple[Narmax, float]:
     """Alternate between fitting and updating the signs; return the model and its mean squared error of magnitude."""
     model, error = None, np.inf
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_STEPS):
         signed = [
             replace(r, signals={**r.signals, output: np.asarray(r.signals[output]) * s})
             for r, s in zip(records, signs, strict=True)
