@@ -1,4 +1,4 @@
-"""Sizes of residuals: standard deviations from medians, which outliers hardly change, and root mean squares."""
+"""Sizes of residuals: standard deviations from medians, which outliers hardly change, and root mean squares; the half."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from sensorgraph.types import Floats
 
+MAJORITY = 0.5
+"""Above it, a share is most of the whole, and a probability exceeds that of the opposite."""
 SIGMA_OF_MAD = 1.4826
 """Ratio of the standard deviation of a normal distribution to its median absolute deviation, 1 / Φ⁻¹(3/4)."""
 

@@ -9,13 +9,11 @@ from numpy.typing import ArrayLike
 
 from logs import arguments
 from logs.run import RangeSensor
+from planners.types import MAX_COORDINATE
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats, Ints
 
-MAX_LONG_SHARE = 0.5
-"""Share of finite readings beyond range_max above which they are taken to be in another unit."""
-MAX_POSE_DISTANCE = 1e8
-"""[m] Largest accepted distance of a pose from the origin of map."""
 MAX_HEADING = 100.0
 """[rad] Largest accepted heading: unwrapped ones grow by full turns, and larger ones are probably degrees."""
 
@@ -99,7 +97,7 @@ def check_readings(ranges: ArrayLike, n_poses: int, rays: Ints, sensor: RangeSen
             "name those that you have with rays="
         )
     finite = known[np.isfinite(known)]
-    if len(finite) and (finite > sensor.range_max).mean() > MAX_LONG_SHARE:
+    if len(finite) and (finite > sensor.range_max).mean() > MAJORITY:
         median = float(np.median(finite))
         raise SensorgraphError(
             f"most ranges exceed range_max {sensor.range_max:g} m (median {median:g}); expected metres"
@@ -129,8 +127,8 @@ def check_poses(poses: Floats, n_rays: int) -> None:
         most > MAX_HEADING or (phi == phi.round()).all()
     ):
         raise SensorgraphError(f"a pose has the heading {most:g}; radians expected: use np.radians(degrees)")
-    if np.abs(poses[..., :2]).max(initial=0.0) > MAX_POSE_DISTANCE:
+    if np.abs(poses[..., :2]).max(initial=0.0) > MAX_COORDINATE:
         row, ray = divmod(int(np.abs(flat[..., :2]).max(axis=2).argmax()), flat.shape[1])
         raise SensorgraphError(
-            f"pose {row} is at {flat[row, ray, :2].tolist()} m; expected at most {MAX_POSE_DISTANCE:g} m from the origin"
+            f"pose {row} is at {flat[row, ray, :2].tolist()} m; expected at most {MAX_COORDINATE:g} m from the origin"
         )

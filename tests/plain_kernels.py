@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
+from planners.types import SAME_PLACE
 from sensorgraph.diagnosis.scan.corner_sums import Sums
 from sensorgraph.diagnosis.scan.likelihood import (
     CUT,
@@ -22,7 +23,6 @@ from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats, Ints
-from sensorgraph.world.ray_intersection import SAME_PLACE
 from sensorgraph.world.wall_grid import CORNER
 
 SETTINGS = SCAN.likelihood

@@ -115,7 +115,7 @@ def test_the_product_of_likelihoods_is_chosen_where_it_follows_the_run_better(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In the room's own map it does; where readings have nothing to do with it, Nav2's default is left."""
-    monkeypatch.setattr(amcl, "N_STRETCHES", 10)
+    monkeypatch.setattr(amcl, "N_BLOCKS", 10)
     monkeypatch.setattr(amcl, "N_PARTICLES", 200)
     run, grid = noisy_run((0.01, 0.004, 0.02, 0.002), (0.0, 0.02, 0.02)), map_of(load_arena("square"))
     found = compare_laser_models(run, grid, KNOWN)

@@ -14,11 +14,12 @@ import rerun as rr
 from logs.run import RangeSensor, Run
 from logs.transforms import compose
 from planners.arena import Arena
+from planners.coverage import HEADINGS
 from sensorgraph.building.build import build
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.show.review import maps
-from sensorgraph.show.review.cells import N_HEADINGS, RayCounts
+from sensorgraph.show.review.cells import RayCounts
 from sensorgraph.show.review.contents import RayVerdict, Review, collect
 from sensorgraph.show.review.intensity import intensity_points
 from sensorgraph.show.review.report import report
@@ -65,7 +66,7 @@ def test_cells_are_those_of_a_plain_count(run: Run, seen: Review) -> None:
     width, (x0, y0) = seen.cells.cell, seen.cells.origin
     for pose in run.poses[:50]:
         i, j = int((pose[0] - x0) // width), int((pose[1] - y0) // width)
-        k = round(pose[2] / (2 * np.pi / N_HEADINGS)) % N_HEADINGS
+        k = round(pose[2] / (2 * np.pi / HEADINGS)) % HEADINGS
         assert seen.cells.counts[i, j, k] > 0
 
 

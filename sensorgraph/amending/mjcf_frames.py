@@ -7,9 +7,10 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from planners.types import ROUND_OFF
 from sensorgraph.amending.findings import CannotHoldError, why
 from sensorgraph.amending.numbers import known, put
-from sensorgraph.amending.place import SMALL, angles_of, turned
+from sensorgraph.amending.place import angles_of, turned
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 from sensorgraph.effects import Amendment
@@ -70,7 +71,7 @@ def _put_axisangle(document: Document, frame: Node, a: Amendment, matrix: Floats
     *axis, before = (known(value) for value in values)
     vector = Rotation.from_matrix(matrix).as_rotvec()
     along = float(np.dot(vector, axis)) / (float(np.linalg.norm(axis)) or 1.0)
-    if np.linalg.norm(np.cross(vector, axis)) > SMALL:
+    if np.linalg.norm(np.cross(vector, axis)) > ROUND_OFF:
         along = float(np.linalg.norm(vector))
         for value, new in zip(values[:3], vector / along, strict=True):
             put(document, value, float(new), Why(cause=why(a, "delta").cause))
@@ -111,7 +112,7 @@ def own_rotation(frame: Node, unit: float, order: str) -> Floats:
         z = values / np.linalg.norm(values)
         axis = np.array([-z[1], z[0], 0.0])
         length = float(np.linalg.norm(axis))
-        axis = axis / length if length > SMALL else np.array([1.0, 0.0, 0.0])
+        axis = axis / length if length > ROUND_OFF else np.array([1.0, 0.0, 0.0])
         return Rotation.from_rotvec(axis * math.atan2(length, z[2])).as_matrix()
     return np.eye(3)
 

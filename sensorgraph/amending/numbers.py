@@ -6,9 +6,10 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
+from planners.types import ROUND_OFF
 from sensorgraph.amending.expressions import PARTS, UnknownNameError, is_sum, names_in
 from sensorgraph.amending.findings import CannotHoldError
-from sensorgraph.amending.text import ROUND_OFF, Why, is_same, note, number_text
+from sensorgraph.amending.text import Why, is_same, note, number_text
 from sensorgraph.amending.xacro import Document, Node, Value
 
 ALONE = re.compile(r"\$\{\s*(-?)\s*([A-Za-z_]\w*)\s*\}|\$\(\s*(arg\s+\w+)\s*\)")

@@ -10,17 +10,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from planners.types import ROUND_OFF, SAME_PLACE
 from sensorgraph.amending.findings import why
 from sensorgraph.amending.numbers import known, number, put
 from sensorgraph.amending.text import Why, note, number_text
 from sensorgraph.amending.xacro import Document, Value
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats
-
-SAME = 1e-6
-"""[m, rad] Change of a coordinate below which it is not written."""
-SMALL = 1e-9
-"""Part of a rotation below which it is zero."""
 
 
 def rotation(rpy: Sequence[float]) -> Floats:
@@ -34,7 +30,7 @@ def angles_of(matrix: Floats, axes: str = "xyz") -> list[float]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Gimbal lock")  # the third angle is then zero
         angles = Rotation.from_matrix(matrix).as_euler(order)
-    return [0.0 if abs(one) < SMALL else float(one) for one in angles]
+    return [0.0 if abs(one) < ROUND_OFF else float(one) for one in angles]
 
 
 def shift_of(a: Amendment, parent: Floats) -> list[tuple[float, Why]]:
@@ -79,8 +75,8 @@ class NewPose:
 
 
 def numbers_text(values: Sequence[float]) -> str:
-    """Return numbers separated by spaces; those below `SAME` are zero."""
-    return " ".join(number_text(0.0 if abs(one) < SAME else one) for one in values)
+    """Return numbers separated by spaces; those below `SAME_PLACE` are zero."""
+    return " ".join(number_text(0.0 if abs(one) < SAME_PLACE else one) for one in values)
 
 
 def shift(document: Document, xyz: Sequence[Value], a: Amendment, parent: Floats) -> None:
@@ -91,7 +87,7 @@ def shift(document: Document, xyz: Sequence[Value], a: Amendment, parent: Floats
     CannotHoldError : A coordinate uses names that no given file sets.
     """
     for value, (change, reason) in zip(xyz, shift_of(a, parent), strict=True):
-        if abs(change) > SAME:
+        if abs(change) > SAME_PLACE:
             put(document, value, known(value) + change, reason)
 
 
@@ -110,7 +106,7 @@ def turn(document: Document, rpy: Sequence[Value], a: Amendment, parent: Floats,
     new = angles_of(turned(rotation(old), a["delta"], parent))
     for value, before, after in zip(rpy, old, new, strict=True):
         change = math.remainder(after - before, 2 * math.pi)
-        if abs(change) > SAME:
+        if abs(change) > SAME_PLACE:
             put(document, value, (before + change) / unit, why(a, "delta", per=1 / unit))
 
 

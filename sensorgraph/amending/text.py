@@ -7,11 +7,11 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from planners.types import ROUND_OFF
+
 MARK = "sensorgraph amend: "
 """Start of each comment that an amendment writes."""
 
-ROUND_OFF = 1e-9
-"""Relative change of a number below which it is not written."""
 
 State = tuple[dict[tuple[int, int], str], dict[int, list[str]]]
 """Pending edits and comments."""

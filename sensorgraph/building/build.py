@@ -13,6 +13,7 @@ import numpy as np
 
 from logs.run import Run, pair
 from logs.stream import LogStream, WholeRun
+from logs.usability import MIN_SCANS
 from planners.arena import Arena
 from sensorgraph.building.residuals import with_memory
 from sensorgraph.building.split import held_out
@@ -28,8 +29,6 @@ from sensorgraph.models.faces.reduction import MapBlocks
 from sensorgraph.types import Bools, ProgressBars, no_progress
 from sensorgraph.version import __version__
 from sensorgraph.world.ray_order import bearings_text, ray_order, with_rays_like
-
-MIN_SCANS = 10
 
 
 def build(

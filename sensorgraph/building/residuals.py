@@ -14,8 +14,8 @@ from sensorgraph.models.place_noise import places_of
 from sensorgraph.models.residual_memory import ResidualMemory, events_of
 from sensorgraph.types import Progress
 
-MIN_READINGS, MAX_READINGS, MAX_SCANS = 2000, 2_000_000, 10_000
-"""Readings that are too few for a memory, and readings and scans that are used of a log, from its start."""
+MIN_READINGS, MAX_READINGS = 2000, 2_000_000
+"""Readings that are too few for a memory, and readings that are used of a log, from its start."""
 BETWEEN_RUNS = 1e7
 """[s] Time between runs for the memory, so that two runs share only what is permanent."""
 
@@ -27,7 +27,7 @@ def with_memory(graph: Sensorgraph, scans: TrainingScans, progress: Progress | N
     ------
     SensorgraphError : There are too few readings.
     """
-    n = min(MAX_SCANS, -(-MAX_READINGS // graph.sensor.n_rays))
+    n = -(-MAX_READINGS // graph.sensor.n_rays)
     some = scans.part(slice(0, n))
     if some.ranges.size < MIN_READINGS:
         raise SensorgraphError(

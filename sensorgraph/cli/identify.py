@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from logs.errors import MAX_LISTED
 from sensorgraph.cli.options import Topics
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from sensorgraph.identification.signals import SignalData
 
 MAX_NOISE_LAGS = 100
-MAX_NOTES = 4
 MIN_P_VALUE = 0.001
 """p-value of the residual test below which the standard errors are too small."""
 
@@ -231,11 +231,13 @@ def summary_lines(found: IdentifiedSignal) -> list[str]:
 
 
 def _notes(notes: Sequence[str]) -> list[str]:
-    """Return the notes of the model; of many notes on dependent terms only the first `MAX_NOTES`."""
+    """Return the notes of the model; of many notes on dependent terms only the first `MAX_LISTED`."""
     given = [note for note in notes if note.endswith("was left out")]
     rest = [note for note in notes if note not in given]
-    more = [f"{len(given) - MAX_NOTES} more such terms (in the model file)"] if len(given) > MAX_NOTES else []
-    return [f"note: {note}" for note in [*given[:MAX_NOTES], *more, *rest]]
+    more = (
+        [f"{len(given) - MAX_LISTED} more such terms (in the model file)"] if len(given) > MAX_LISTED else []
+    )
+    return [f"note: {note}" for note in [*given[:MAX_LISTED], *more, *rest]]
 
 
 def _warning_of_stderr(found: IdentifiedSignal) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from logs.errors import MAX_LISTED
 from logs.files import atomic_file
 from planners.arena import Arena
 from planners.yaml_text import parse_yaml
@@ -22,8 +23,6 @@ from sensorgraph.quantities import ANGLE, LENGTH, NO_UNIT, SPEED, TIME, Dimensio
 
 logger = logging.getLogger(__name__)
 
-SHOWN_PLACES = 6
-"""Maximum number of places of an arena in a message."""
 KEYS = ("name", "parameters", "stderr", "location", "probability", "evidence")
 OPTIONAL = {"map_scale": ("dx", "dy"), "range_drift": ("tau",)}
 """Effect -> optional parameters, which are neutral if left out."""
@@ -249,8 +248,8 @@ def _places_like(name: str, known: Sequence[str]) -> str:
         return f"{feature} has `{own[0]}`" + (f" to `{own[-1]}`" if len(own) > 1 else "")
     if difflib.get_close_matches(name, known, n=1):
         return suggestion(name, known)
-    more = ", ..." if len(known) > SHOWN_PLACES else ""
-    return f"it has {', '.join(f'`{one}`' for one in known[:SHOWN_PLACES]) or 'none'}{more}"
+    more = ", ..." if len(known) > MAX_LISTED else ""
+    return f"it has {', '.join(f'`{one}`' for one in known[:MAX_LISTED]) or 'none'}{more}"
 
 
 def _unit(unit: str) -> str:

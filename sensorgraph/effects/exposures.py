@@ -6,19 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from logs.errors import MAX_LISTED
 from sensorgraph.effects.interfaces import Exposure
 from sensorgraph.types import Floats
 
 UNEXPECTED = 5.0
 """[nats] Evidence of a reading far from its expected value."""
-MAX_PLACES = 4
-"""Maximum number of places in a text."""
 
 
 def listed(places: Sequence[str]) -> str:
     """Return the first few places as text."""
-    more = len(places) - MAX_PLACES
-    return ", ".join(places[:MAX_PLACES]) + (f" and {more} more" if more > 0 else "")
+    more = len(places) - MAX_LISTED
+    return ", ".join(places[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def falls_short(nats: float, need: float) -> str:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from planners.arena import Arena
+from planners.types import SAME_PLACE
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import CornerShift
 from sensorgraph.effects.places import outward, walls_of
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Scene
-
-SAME = 1e-6  # [m] distance below which two ends are one corner
 
 
 def transform(scene: Scene, a: Amendment) -> None:
@@ -19,7 +18,7 @@ def transform(scene: Scene, a: Amendment) -> None:
     (index,) = walls_of(scene, a.place)
     shift = a["d"] * outward(scene.arena, np.array([index]))[0]
     for end in scene.walls[index].copy():
-        scene.walls[(np.abs(scene.walls - end) < SAME).all(axis=2)] += shift
+        scene.walls[(np.abs(scene.walls - end) < SAME_PLACE).all(axis=2)] += shift
 
 
 def corner_shifts(arena: Arena, walls: Floats, ends: Ints) -> list[CornerShift]:

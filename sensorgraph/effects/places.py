@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from planners.arena import Arena
+from planners.types import SAME_PLACE
 from sensorgraph.effects.effect import Amendment, Parameter
 from sensorgraph.effects.set_up import end_of_part_error
 from sensorgraph.errors import SensorgraphError
@@ -14,8 +15,6 @@ from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.ray_intersection import nearest_from_each
 from sensorgraph.world.scene import Scene
-
-OFF = 1e-6  # [m] distance from the mirror at which a reflected ray starts
 
 
 def in_sector(bearings: Floats, first: float, last: float) -> Bools:
@@ -121,7 +120,7 @@ def reflected(walls: Floats, beams: Beams, some: Bools) -> Floats:
     """Return the distance (n,) [m] from the hits of rays `some` to their hits after reflection."""
     ux, uy, nx, ny = (v[some] for v in (beams.ux, beams.uy, beams.nx, beams.ny))
     ox, oy = (np.broadcast_to(o, beams.ranges.shape)[some] for o in (beams.ox, beams.oy))
-    r = beams.ranges[some] - OFF
+    r = beams.ranges[some] - SAME_PLACE
     into = ux * nx + uy * ny
     vx, vy = ux - 2 * into * nx, uy - 2 * into * ny
     x, y = ox + r * ux, oy + r * uy

@@ -20,7 +20,6 @@ MAX_PLACES = 12
 """Maximum number of places with most ends of short readings that are examined; clutter may have several."""
 REACHES = 0.6, 0.25
 """[m] Distances from such a place within which ends may belong to one object; other objects may be near."""
-MAX_PROPOSED = 8
 MAX_RADIUS = 0.8
 """[m] Radius above which a round object is not distinguished from a wall."""
 N_SCANS = 60
@@ -50,7 +49,7 @@ def propose(residuals: Residuals) -> list[Proposal]:
         middle = np.median(ends[index == k], axis=0)
         for reach in REACHES:
             found += _discs_near(residuals, ends, middle, reach)
-    return sorted(found, key=lambda one: -one.gain)[:MAX_PROPOSED]
+    return sorted(found, key=lambda one: -one.gain)[: PROPOSAL.max_obstacles]
 
 
 def _discs_near(residuals: Residuals, ends: Floats, middle: Floats, reach: float) -> list[Proposal]:

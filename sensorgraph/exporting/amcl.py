@@ -40,11 +40,10 @@ DEFAULTS: Mapping[str, float] = {
 MAX_SCANS = 2000
 """Maximum number of scans for the mixture, spread evenly over the run."""
 N_BLOCKS, N_DRAWS = 20, 200
-"""Number of segments of the run, and number of bootstrap draws of as many segments."""
+"""Number of segments of the run, also for the comparison of laser models, and number of bootstrap draws of as many."""
 EM_PASSES = 60
-N_STRETCHES, N_UPDATES, N_WARM_UP, N_PARTICLES = 20, 25, 10, 500
-"""Number of segments on which the laser models are compared; filter updates per segment; updates before the
-filter settles, which do not count; particles."""
+N_UPDATES, N_WARM_UP, N_PARTICLES = 25, 10, 500
+"""Filter updates per segment; updates before the filter settles, which do not count; particles."""
 MIN_STEPS = 40
 """Minimum number of odometry steps for an estimate of its noise."""
 MAX_POSE_DISTANCE = 0.11
@@ -125,7 +124,7 @@ def compare_laser_models(
         return None
     odometry, field = odometry_at_scans(run, motion), CellDistances.of(grid)
     medians = []
-    for first in np.linspace(0, run.n_scans, N_STRETCHES, endpoint=False).astype(np.intp):
+    for first in np.linspace(0, run.n_scans, N_BLOCKS, endpoint=False).astype(np.intp):
         known = first + np.flatnonzero(pairing.paired[first:])
         if len(known) == 0:
             break
@@ -142,7 +141,7 @@ def compare_laser_models(
         settled = np.flatnonzero(np.isfinite(errors[0]))[N_WARM_UP:]
         if len(settled):
             medians.append([float(np.median(error[settled])) for error in errors])
-    if len(medians) < N_STRETCHES // 2:
+    if len(medians) < N_BLOCKS // 2:
         return None
     rows = np.array(medians)
     rng = np.random.default_rng(0)

@@ -9,10 +9,9 @@ import numpy as np
 import yaml
 
 from sensorgraph.exporting.world import ExportedWorld
+from sensorgraph.world.drive import TRUTH_STEP
 from sensorgraph.world.robot_sensor import bearings as even_bearings
 
-STEP = 0.01
-"""[s] Time step of the simulation."""
 MARGIN = 0.5
 """[m] Margin around the arena."""
 
@@ -49,7 +48,7 @@ def write(world: ExportedWorld, folder: Path) -> list[str]:
             "width": float(x1 - x0 + 2 * MARGIN),
             "height": float(y1 - y0 + 2 * MARGIN),
             "offset": [float(x0 - MARGIN), float(y0 - MARGIN)],
-            "step_time": STEP,
+            "step_time": TRUTH_STEP,
             "sample_time": 0.1,
             "collision_mode": "stop",
         },

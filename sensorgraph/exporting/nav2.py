@@ -10,6 +10,7 @@ import shapely
 
 from logs.run import OccupancyMap, Run
 from planners.arena import Arena
+from planners.maps.ros_map import MAX_CELLS
 from sensorgraph.amending.text import decimal
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.exporting.amcl import (
@@ -25,9 +26,8 @@ from sensorgraph.exporting.world import ExportedWorld
 from sensorgraph.types import Floats
 from sensorgraph.world.simulate import occupancy_map
 
-RESOLUTION, MARGIN, MAX_CELLS = 0.05, 10.0, 100_000_000
-"""[m] Side of a cell; [m] margin of the map around the walls; maximum number of cells before they are
-enlarged."""
+RESOLUTION, MARGIN = 0.05, 10.0
+"""[m] Side of a cell, which is enlarged if there would be more than `MAX_CELLS`; margin of the map around the walls."""
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 """Grey values of free, occupied and unknown cells for map_server in trinary mode."""
 

@@ -18,12 +18,12 @@ from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
 from planners.arena import Arena
+from planners.coverage import CELL
 from robotmodic_ident.analysis import correlation_dimension
 from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
-COVERAGE_CELL = 0.25  # [m] side of a coverage cell
 SAMPLE_STEP = 0.5  # [s] between samples of the embedded track
 EMBEDDING_DIMENSION = 4  # delays of the embedding, EMBEDDING_DELAY apart
 EMBEDDING_DELAY = 2.0  # [s]
@@ -89,8 +89,8 @@ def behaviour(run: Run, arena: Arena | None = None) -> Behaviour:
     turned = float(np.abs(np.diff(calm[:, 2])).sum())
     nearest = np.where(np.isfinite(run.ranges), run.ranges, np.inf).min(axis=1)
     nearest = nearest[np.isfinite(nearest)]
-    cells = np.unique(np.floor(poses[:, :2] / COVERAGE_CELL).astype(np.int64), axis=0)
-    covered = len(cells) * COVERAGE_CELL**2
+    cells = np.unique(np.floor(poses[:, :2] / CELL).astype(np.int64), axis=0)
+    covered = len(cells) * CELL**2
     dimension, low, high = track_dimension(stamps, poses[:, :2])
     return Behaviour(
         duration_s=duration, path_m=path, speed_m_s=path / max(duration, 1e-9),

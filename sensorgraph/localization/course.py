@@ -28,6 +28,7 @@ import numpy as np
 
 from logs.motion import Motion
 from logs.transforms import compose, distances_along, invert
+from logs.usability import MIN_STEP
 from sensorgraph.localization.settings import N_REWEIGHTED
 from sensorgraph.types import Floats
 
@@ -38,11 +39,9 @@ QUATERNIONS = {
     1.0 / HALF: "quaternions with a quarter of the heading",
 }
 """Factor to the true heading -> what has been read."""
-MIN_STEP = 0.05
-"""[m] Length of the steps whose course is compared, well above the resolution of an odometry; also minimum motion [m, rad] of a
-step by the scans for a step-by-step comparison ..."""
 MIN_MOVING = 5
-"""... and minimum number of such steps."""
+"""Minimum number of steps by the scans that are longer than `MIN_STEP` [m, rad], for a comparison step by step. The course is
+compared over steps of this length, well above the resolution of an odometry."""
 MIN_ALIGNED = 0.9
 """Mean resultant length of the differences of course and heading, doubled, from which the robot drives along its heading times
 a factor: 1 for equal angles, 0 for random ones (Mardia and Jupp 2000) ..."""

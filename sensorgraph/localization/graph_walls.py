@@ -11,11 +11,9 @@ from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cells.ray_march import RATES, CellTable
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.seen_space import SeenSpace, seen_space
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import walls_with_normals
-
-MIN_STOP_PROBABILITY = 0.5
-"""Minimum probability that a ray stops in a cell that contains a wall."""
 
 MIN_FACING = 0.5
 """Minimum cosine between a ray and the normal of a wall; below, the ray passes along the wall."""
@@ -54,7 +52,7 @@ def _cell_walls(table: CellTable) -> tuple[Floats, Floats]:
     rows = table.rows[i, j]
     rate = np.where(table.angle[rows] == NO_LINE, 0.0, np.asarray(RATES)[table.rate[rows]])
     chance = 1.0 - np.exp(-rate * table.cell)
-    kept = chance.max(axis=1) > MIN_STOP_PROBABILITY
+    kept = chance.max(axis=1) > MAJORITY
     rows, chance, i, j = rows[kept], chance[kept], i[kept], j[kept]
     sector = chance.argmax(axis=1)
     angle = table.angle[rows, sector] * (np.pi / N_ANGLES)
@@ -64,9 +62,7 @@ def _cell_walls(table: CellTable) -> tuple[Floats, Floats]:
     half = 0.5 * table.cell * np.column_stack([-normal[:, 1], normal[:, 0]])
     directions = 2 * np.pi * np.arange(chance.shape[1]) / chance.shape[1]
     ahead = np.cos(directions - angle[:, None])  # cosine between ray and normal
-    stopped = [
-        ((way * ahead > MIN_FACING) & (chance > MIN_STOP_PROBABILITY)).any(axis=1) for way in (-1.0, 1.0)
-    ]
+    stopped = [((way * ahead > MIN_FACING) & (chance > MAJORITY)).any(axis=1) for way in (-1.0, 1.0)]
     towards = (stopped[0].astype(float) - stopped[1])[:, None] * normal
     return np.stack([middle - half, middle + half], axis=1), towards
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import logs
 from logs.errors import LogError
 from logs.run import Run
+from logs.usability import MIN_SCANS
 from planners.arena import Arena
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization import settings
-from sensorgraph.localization.locate import MIN_SCANS, has_reference, locate, located_run, summary_lines
+from sensorgraph.localization.locate import has_reference, locate, located_run, summary_lines
 from sensorgraph.localization.result import Localization
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import ProgressBars, no_progress

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from planners.groups import members
 from planners.kernel import inner_kernel, kernel
+from sensorgraph.models.faces.observed_space import MAX_CELLS
 from sensorgraph.types import Floats, Ints
 
-MAX_CELLS = 1 << 26
-"""Maximum number of cells of a grid (64 MiB); the cells of larger maps are enlarged until the grid fits."""
 REACH = 3.0
 """[sigma] Distance to a surface beyond which a return scores 0."""
-PEAK = 255
+PEAK = int(np.iinfo(np.uint8).max)
 """Value of a cell whose centre lies on a surface."""
 
 

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from logs.errors import MAX_LISTED
 from logs.notes import notes_of
 from logs.run import RARE_TIMES, Run
+from logs.usability import MIN_SCANS
 from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
@@ -31,8 +33,6 @@ POSE_SOURCE = "locate"
 """`pose_source` of a located run."""
 ATTACHMENT = "localization.json"
 """Attachment of a located run with the localization summary."""
-MIN_SCANS = 10
-"""Minimum number of scans of a drive."""
 COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status", "map")
 
 
@@ -246,11 +246,7 @@ def summary_lines(found: Localization) -> list[str]:
         lines.append(f"wheels: {found.wheels}")
     if found.kept or found.refused:
         lines.append(f"loop closures: {len(found.kept)} kept, {len(found.refused)} rejected")
-    lines += found.notes[:MAX_NOTES]
-    if len(found.notes) > MAX_NOTES:
-        lines.append(f"... and {len(found.notes) - MAX_NOTES} more (--json FILE lists all)")
+    lines += found.notes[:MAX_LISTED]
+    if len(found.notes) > MAX_LISTED:
+        lines.append(f"... and {len(found.notes) - MAX_LISTED} more (--json FILE lists all)")
     return lines
-
-
-MAX_NOTES = 6
-"""Maximum number of notes in the summary."""

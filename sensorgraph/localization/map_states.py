@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.errors import MAX_LISTED
 from logs.transforms import compose
 from sensorgraph.localization.loop_closures import ClosedTrack
 from sensorgraph.localization.result import Status, interval_notes, true_intervals
@@ -15,8 +16,6 @@ from sensorgraph.types import Bools, Floats, Ints
 
 MIN_JOINING_CLOSURES = 2
 """Number of consistent loop closures that join a track segment to the map after a break."""
-MAX_LISTED = 5
-"""Maximum number of intervals of one kind in the notes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

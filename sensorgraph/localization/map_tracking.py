@@ -24,7 +24,8 @@ from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.scan_track import ScanTrack, information_at
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import FRONT_END, GLOBAL_SEARCH, MAP_TRACKING, MIN_INLIERS_IN_MAP
+from sensorgraph.localization.settings import FRONT_END, GLOBAL_SEARCH, MAP_TRACKING
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats, Progress
 
 BACKWARD_PATIENCE = 1.0
@@ -185,7 +186,7 @@ class MapTracker:
         )  # fmt: skip
         off = found.pose - predicted
         is_near = np.hypot(off[0], off[1]) < s.max_offset and abs(wrap(off[2])) < s.max_turn_offset
-        if not (is_near and found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= s.agreement):
+        if not (is_near and found.inliers >= MAJORITY and found.agreement >= s.agreement):
             return None
         self.poses[k], self.information[k] = found.pose, found.information
         judged = self.place.judge(found.pose[None], self.scans.points[own], self.scans.starts[own])
@@ -313,7 +314,7 @@ def rematch(scans: ScanPoints, poses: Floats, place: KnownMap, progress: Progres
         found = match(
             scans.points[own], scans.normals[own], place.straight, poses[k], prior_information=prior
         )
-        if found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= MAP_TRACKING.agreement:
+        if found.inliers >= MAJORITY and found.agreement >= MAP_TRACKING.agreement:
             places[k], information[k] = found.pose, found.information
             noise[k], agreement[k] = found.noise, found.agreement
         if k % 50 == 0:

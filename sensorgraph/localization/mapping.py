@@ -22,9 +22,10 @@ from sensorgraph.localization.refinement import Refined, refine
 from sensorgraph.localization.result import Localization, Status
 from sensorgraph.localization.scan_track import ScanTrack, is_covered, settled, turn_matrices
 from sensorgraph.localization.scans import ScanPoints
-from sensorgraph.localization.settings import FRONT_END, MATCH, MIN_INLIERS_IN_MAP, LineMatchSettings
+from sensorgraph.localization.settings import FRONT_END, MATCH, LineMatchSettings
 from sensorgraph.localization.smoothing import SmoothedPoses, smooth, steps_of
 from sensorgraph.localization.wheel_edges import WheelSteps
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
 NARROW_VIEW = float(np.radians(44.0))
@@ -238,7 +239,7 @@ def _place(
         prior_information=information,
         settings=matching,
     )
-    fits = found.inliers >= MIN_INLIERS_IN_MAP and found.overlap >= FRONT_END.min_overlap
+    fits = found.inliers >= MAJORITY and found.overlap >= FRONT_END.min_overlap
     if not fits:
         return prior, prior_covariance, False
     covariance = np.linalg.inv(found.information + information)

@@ -20,11 +20,11 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
+from logs.usability import MIN_STEP
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.course import (
     MAX_RATIO,
     MIN_MOVING,
-    MIN_STEP,
     direction_of,
     turn_units,
     with_course,
@@ -36,6 +36,7 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.result import WheelParameters
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import SIGNIFICANT
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 
 EVERY = 4
@@ -48,8 +49,6 @@ TOLERANCE = 0.35
 """Maximum deviation from the factor of a unit, in the logarithm."""
 OPPOSITE = -0.6
 """Correlation of the turns below which one of the two is mirrored."""
-MIN_AGREEING = 0.5
-"""Minimum share of steps within `MAX_RATIO`; below, the odometry is not used."""
 MAX_DIRECTION = 0.5
 """[rad] Maximum angle between the motion by the scans and by the odometry, for a stated mount."""
 NOTED_DIRECTION = 0.035
@@ -281,7 +280,7 @@ def _agrees(seen: Floats, driven: Floats) -> bool:
         return True
     ratio = driven[is_moving] / seen[is_moving]
     within = (ratio > 1 / MAX_RATIO) & (ratio < MAX_RATIO)
-    return bool(within.mean() >= MIN_AGREEING)
+    return bool(within.mean() >= MAJORITY)
 
 
 def _disagreement(seen: Floats, driven: Floats, what: str, unit: str) -> str:

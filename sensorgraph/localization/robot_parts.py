@@ -31,6 +31,7 @@ from sensorgraph.localization.scans import (
     scan_points,
     view_of,
 )
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Bools, Floats, Ints
 
 REACH = 1.0
@@ -45,10 +46,9 @@ MIN_SAME = 0.03
 """... and the share of the readings of such a part that must be."""
 ELSEWHERE = ((0.5, 0.5), (1.0, 1.0), (2.0, 2.0))
 """[m, rad] Motions between a reading and a scan that looks at its place; a wide part needs large turns."""
-MIN_THROUGH = 0.5
-"""Minimum share of the places that other rays look through, of those that they see ..."""
 MIN_OF_ALL = 0.1
-"""... and of those that any rays see: fewer are at the edges of walls whose readings have constant ranges as well."""
+"""Minimum share of the places that other rays look through, of those that any rays see: fewer are at the edges of walls
+whose readings have constant ranges as well. Of those that the other rays see, they are the majority."""
 MAX_SCANS = 200
 """Maximum number of scans whose readings are tested."""
 
@@ -152,7 +152,7 @@ def parts_of_robot(
             through[rays] += free
     parts = np.full(sensor.n_rays, np.nan)
     for group in _groups(usual):
-        least = max(MIN_THROUGH * seen[group].sum(), MIN_OF_ALL * by_any[group].sum(), MIN_VISIBLE)
+        least = max(MAJORITY * seen[group].sum(), MIN_OF_ALL * by_any[group].sum(), MIN_VISIBLE)
         if through[group].sum() > least:
             parts[group] = usual[group]
     return parts

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.jumps import JUMP_LIMITS
 from sensorgraph.types import Floats
 
 UNKNOWN_NORMAL_LENGTH = 0.3
@@ -28,8 +29,6 @@ DENSE = 0.09
 """[m] Point spacing of a scan above which the radii of a match grow in proportion ..."""
 MAX_GROWTH = 4.0
 """... up to this factor."""
-MIN_INLIERS_IN_MAP = 0.5
-"""Minimum share of inliers among the points near a surface of a finished map."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +87,7 @@ class WheelSettings:
     """[rad/m] Heading noise per distance driven."""
     turn_per_turn: float = 0.1
     """[rad/rad] Heading noise per turn."""
-    max_speed: float = 5.0
+    max_speed: float = JUMP_LIMITS.speed
     """[m/s] Speed above which a step is a jump of the odometry."""
     max_turn_rate: float = 10.0
     """[rad/s] Turn rate above which a step is a jump of the odometry."""

@@ -45,8 +45,8 @@ STRIDES = (21, 55, 144, 377, 987, 2584)
 """Numbers of readings between the two of a pair, among the readings of one largest square in order of time."""
 MAX_PAIRS = 200_000
 """Maximum number of pairs of each kind."""
-MAX_TOTAL_SHARE = 0.98
-"""Upper limit of the sum of all shares."""
+MAX_MEMORY = 0.98
+"""Upper limit of what residuals keep of the ones before: the sum of all shares here, of a root or of a probability in narmax."""
 MIN_STORED = 1e-3
 """[m, s] Smallest size or lifetime accepted from a file."""
 
@@ -228,9 +228,9 @@ class _Pairs:
         rows = np.vstack([np.column_stack(columns), ridge])
         target = np.r_[summed(found) * weight, np.zeros(len(columns))]
         shares = np.asarray(nnls(rows, target)[0])
-        if shares.sum() > MAX_TOTAL_SHARE:  # solve again with the sum constrained
+        if shares.sum() > MAX_MEMORY:  # solve again with the sum constrained
             heavy = 1e3 * float(np.linalg.norm(rows))
             rows = np.vstack([rows, np.full(len(columns), heavy)])
-            shares = np.asarray(nnls(rows, np.r_[target, heavy * MAX_TOTAL_SHARE])[0])
-            shares *= min(1.0, MAX_TOTAL_SHARE / float(shares.sum()))
+            shares = np.asarray(nnls(rows, np.r_[target, heavy * MAX_MEMORY])[0])
+            shares *= min(1.0, MAX_MEMORY / float(shares.sum()))
         return shares.reshape(len(sizes), -1)

@@ -16,6 +16,7 @@ import planners
 from logs.html_table import html_table
 from logs.run import Run
 from planners.arena import Arena
+from planners.coverage import CELL, HEADINGS
 from planners.errors import PlanError
 from planners.joins.ompl_process import JOIN_PLANNERS
 from planners.maps.no_go import Zone, without
@@ -97,8 +98,8 @@ def plan(
     robot: Robot | Path | str | None = None,
     *,
     planner: str = "coverage",
-    cell: float = 0.25,
-    headings: int = 16,
+    cell: float = CELL,
+    headings: int = HEADINGS,
     start: ArrayLike | None = None,
     end: ArrayLike | None = None,
     views: int | None = None,

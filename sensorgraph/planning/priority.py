@@ -6,10 +6,9 @@ import numpy as np
 
 from planners.coverage import Coverage
 from sensorgraph.evaluation.evaluate import poses_for
-from sensorgraph.graph import Sensorgraph
+from sensorgraph.graph import POSES_AT_A_TIME, Sensorgraph
 from sensorgraph.types import Floats
 
-POSES_PER_BLOCK = 4096  # poses predicted at a time
 UNKNOWN = 1.0
 """Expected error of a ray that the graph does not answer; that of an answered ray is smaller."""
 
@@ -31,9 +30,9 @@ def uncertainty(graph: Sensorgraph, grid: Coverage, *, max_rays: int | None = No
     poses = poses_for(graph, "base_link", graph.sensor.mount, poses)
     out = np.zeros(grid.counts.shape)
     score = np.empty(len(bins))
-    for start in range(0, len(bins), POSES_PER_BLOCK):
-        prediction = graph.predict(poses[start : start + POSES_PER_BLOCK], rays=rays)
-        score[start : start + POSES_PER_BLOCK] = np.where(
+    for start in range(0, len(bins), POSES_AT_A_TIME):
+        prediction = graph.predict(poses[start : start + POSES_AT_A_TIME], rays=rays)
+        score[start : start + POSES_AT_A_TIME] = np.where(
             prediction.answered, 0.5 * prediction.p_off, UNKNOWN
         ).mean(axis=1)
     out[tuple(bins.T)] = score

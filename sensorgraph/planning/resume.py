@@ -12,13 +12,12 @@ from planners.groups import members
 from planners.maps import geojson
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import walls_of
 
 WALL_STEP, SAME_WALL_DISTANCE = 0.05, 0.10
 """[m] Spacing of points on a wall, and maximum distance to a wall of the other arena that counts as the same."""
-MIN_SHARED = 0.5
-"""Minimum share of the run's walls, and of its poses, in this arena; with less, the run is of another arena."""
 
 
 def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
@@ -36,14 +35,14 @@ def driven_poses(run: Run, arena: Arena, *, name: str = "the run") -> Floats:
     if not pairing.paired.any():
         raise PlanError(f"{name}: {pairing}; nothing to resume from")
     own = _own_arena(run)
-    if own is not None and (share := shared_walls(own.walls, arena)) < MIN_SHARED:
+    if own is not None and (share := shared_walls(own.walls, arena)) < MAJORITY:
         raise PlanError(
             f"{name} was driven in another arena, of {_extent(own)}: {100 * share:.0f} % of its walls are in this arena, "
             f"of {_extent(arena)}; give the arena of that run, or a run in this arena"
         )
     poses = pairing.poses[pairing.paired]
     share = float(arena.contains(poses[:, :2]).mean())
-    if share < MIN_SHARED:
+    if share < MAJORITY:
         raise PlanError(
             f"{name}: {100 * share:.0f} % of its poses lie in the free space of this arena, of {_extent(arena)}; "
             "give the arena of that run, in the frame of its poses"
@@ -57,7 +56,7 @@ def other_place_warnings(graph: Sensorgraph, arena: Arena) -> list[str]:
         own = walls_of(graph)
     except SensorgraphError:
         return []
-    if (share := shared_walls(own, arena)) >= MIN_SHARED:
+    if (share := shared_walls(own, arena)) >= MAJORITY:
         return []
     return [
         f"{100 * share:.0f} % of the sensorgraph's walls are in this arena; check that it is of the same place"

@@ -15,6 +15,7 @@ from logs.run import Run
 from planners.arena import Arena
 from planners.maps import MAPS, load
 from planners.trajectory import Trajectory, read_csv
+from planners.types import SAME_PLACE
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.loading import arena_in, read_plan_report, robot_in
 from sensorgraph.planning.plan import CoveragePlan
@@ -22,9 +23,6 @@ from sensorgraph.recording.record import Commands
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot, load_robot
 from sensorgraph.world.wall_distance import WallDistance
-
-SAME_WALLS = 1e-6
-"""[m] Maximum distance between the corners of equal arenas."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,7 +171,7 @@ def check_start(pose: Floats, arena: Arena, robot: Robot, *, arena_name: str = "
 
 def is_same_arena(a: Arena, b: Arena) -> bool:
     """Tell whether two arenas have the same walls."""
-    return a.walls.shape == b.walls.shape and bool(abs(a.walls - b.walls).max(initial=0.0) <= SAME_WALLS)
+    return a.walls.shape == b.walls.shape and bool(abs(a.walls - b.walls).max(initial=0.0) <= SAME_PLACE)
 
 
 def differing_keys(a: Robot, b: Robot) -> list[str]:

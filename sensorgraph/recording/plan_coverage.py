@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.errors import MAX_LISTED
 from logs.run import Run, pair
 from planners.coverage import Coverage
 from planners.trajectory import Trajectory, read_csv
@@ -13,9 +14,6 @@ from planners.types import Bools
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.loading import read_plan_report
 from sensorgraph.types import Floats
-
-MAX_PLACES = 3
-"""Maximum number of places in a sentence."""
 
 
 class PlanCoverage:
@@ -95,7 +93,7 @@ class PlanCoverage:
         if n_missing == 0:
             return f"all {total:,} bins of the plan have a pose"
         by_cell = missing.sum(axis=2)
-        worst = np.argsort(-by_cell, axis=None, kind="stable")[:MAX_PLACES]
+        worst = np.argsort(-by_cell, axis=None, kind="stable")[:MAX_LISTED]
         worst = worst[by_cell.ravel()[worst] > 0]
         cells = np.column_stack(np.unravel_index(worst, by_cell.shape))
         places = self.driven.origin + (cells + 0.5) * self.driven.cell

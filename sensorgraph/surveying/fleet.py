@@ -17,6 +17,7 @@ from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
 from sensorgraph.files import atomic_folder
 from sensorgraph.loading import open_place
 from sensorgraph.localization.locate import walls_of_place
+from sensorgraph.robust import MAJORITY
 from sensorgraph.surveying.causes import MEASURED, SHOWN_IN, CausedStep, Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, surveyed
 from sensorgraph.surveying.limited import TaskLimits
@@ -26,7 +27,7 @@ from sensorgraph.surveying.quantities import LABELS, QUANTITIES, quantities_of
 from sensorgraph.surveying.rerun_layer import write_layer
 from sensorgraph.surveying.result import Fleet, RobotChange
 from sensorgraph.surveying.store import ResultStore, find_logs
-from sensorgraph.surveying.trends import POSSIBLE, SURE, OddRobot, level, odd_robots, steps_of
+from sensorgraph.surveying.trends import SURE, OddRobot, level, odd_robots, steps_of
 from sensorgraph.types import Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import load_robot
@@ -163,7 +164,7 @@ def _compared(rows: list[dict[str, Any]], **facts: Any) -> Fleet:
     return Fleet(
         rows=tuple(rows),
         changes=tuple(one for one in changes if one.probability >= SURE),
-        possible=tuple(one for one in changes if POSSIBLE <= one.probability < SURE),
+        possible=tuple(one for one in changes if MAJORITY <= one.probability < SURE),
         odd=tuple(one for one in _odd(rows, changes) if one.probability >= SURE),
         **facts,
     )

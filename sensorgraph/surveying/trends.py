@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 
 DEGREES = 4.0
@@ -28,7 +29,6 @@ PRIOR_ODD = 0.05
 """Prior probability that a robot differs from its sisters in a quantity."""
 SURE = 0.95
 """Probability from which a change or a difference is stated; less probable ones are listed as possible."""
-POSSIBLE = 0.5
 MIN_LOGS, MIN_SISTERS = 4, 3
 """Number of logs of a trend, and of robots of one kind, below which nothing is compared."""
 N_GRID, N_SCATTER, N_SLOPES = 161, 7, 41
@@ -180,7 +180,7 @@ def _split(
     step, none = float(logsumexp(log_odds_step)), 0.0
     weight = logsumexp([step, log_odds_drift, none])
     p_change = float(np.exp(logsumexp([step, log_odds_drift]) - weight))
-    if p_change < POSSIBLE:
+    if p_change < MAJORITY:
         return []
     if log_odds_drift > step:
         slope, error = _slope(grid, a, b, t)
@@ -273,7 +273,7 @@ def odd_robots(quantity: str, levels: Mapping[str, tuple[float, float]]) -> list
         )
         odds = np.log(PRIOR_ODD / (1 - PRIOR_ODD)) + own - same
         probability = float(1 / (1 + np.exp(-odds)))
-        if probability >= POSSIBLE:
+        if probability >= MAJORITY:
             p = np.exp(weight).sum(axis=1)
             centre = float(p @ grid.centres)
             error = float(np.sqrt(p @ (grid.centres - centre) ** 2 + sigma**2))

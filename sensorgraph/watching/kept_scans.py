@@ -8,12 +8,10 @@ from dataclasses import replace
 from itertools import takewhile
 
 from sensorgraph.localization.global_search import MIN_POINTS, LocalView
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.watching.scan_input import ScanInput, apart, view_of
 from sensorgraph.watching.settings import TrackingPriors
-
-MOST = 0.5
-"""Share of changed readings above which a scan sees something else."""
 
 
 class KeptScans:
@@ -48,7 +46,7 @@ class KeptScans:
             self._scans.clear()
         if self._scans:
             way, turn = apart(self.last_drift, now.drift)
-            if way < s.keep_distance and turn < s.keep_turn and now.changed < MOST:
+            if way < s.keep_distance and turn < s.keep_turn and now.changed < MAJORITY:
                 return
         self._scans.append(replace(now, fits=fits))
 

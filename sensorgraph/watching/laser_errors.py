@@ -27,7 +27,7 @@ MOST_RESIDUAL = 0.2
 """[m] A larger residual shows another surface."""
 NOISE = 0.03
 """[m] Residual at which a ray counts half (Cauchy)."""
-MEDIAN_TO_MEAN = 1.2533
+MEDIAN_TO_MEAN = math.sqrt(math.pi / 2)
 """Ratio of the standard error of a median to that of a mean, for a normal distribution."""
 LEAST_SCATTER = 0.003
 """Least standard deviation of the share of a scan: one ray of 360."""

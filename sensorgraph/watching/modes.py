@@ -12,8 +12,9 @@ from logs.transforms import compose, difference, invert
 from sensorgraph.localization.global_search import MIN_POINTS
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.matching import CORRELATION, Match, match
-from sensorgraph.localization.settings import MAP_TRACKING, MIN_INLIERS_IN_MAP
+from sensorgraph.localization.settings import MAP_TRACKING
 from sensorgraph.localization.wheels import slip_of
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
 from sensorgraph.watching.resemblance import resemblance_of
@@ -132,7 +133,7 @@ def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -
     off = difference(found.pose, pose)
     is_near = np.hypot(off[0], off[1]) < s.max_offset and abs(off[2]) < s.max_turn_offset
     is_allowed = off @ np.linalg.solve(covariance, off) < 25.0
-    if (is_near or is_allowed) and found.inliers >= MIN_INLIERS_IN_MAP and found.agreement >= s.agreement:
+    if (is_near or is_allowed) and found.inliers >= MAJORITY and found.agreement >= s.agreement:
         return found
     return None
 

@@ -18,9 +18,7 @@ COLOURS = {
     "fault": "#d1345b", "changed": "#e0a030",
 }  # fmt: skip
 WIDTH, ROW, LEFT = 900, 34, 70
-"""[px] of the time line."""
-MAP_WIDTH, MAP_MOST = 900, 900
-"""[px] of the map."""
+"""[px] of the time line; the map has its width, and at most as much height."""
 STEPS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600)
 """[s] between the labels of the time line; above an hour, whole hours."""
 MOST_LABELS = 8
@@ -84,7 +82,7 @@ def _map(data: PageData) -> str:
     path = data.path[np.isfinite(data.path[:, 0]), :2]
     every = np.concatenate([ends, path]) if len(path) else ends
     low, high = every.min(axis=0) - 0.5, every.max(axis=0) + 0.5
-    scale = min(MAP_WIDTH / (high - low)[0], MAP_MOST / (high - low)[1])
+    scale = WIDTH / max(high - low)
     width, height = (high - low) * scale
 
     def line(points: Floats) -> str:

@@ -20,10 +20,11 @@ from scipy.special import expit, logit
 
 from logs.files import atomic_file
 from sensorgraph.errors import SensorgraphError, suggestion
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.watching.evidence import Baseline
 from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS, MISSING_FAULT, FaultPrior
-from sensorgraph.watching.status import NAMED, WatchStatus
+from sensorgraph.watching.status import WatchStatus
 
 Level = Literal["ok", "warning", "error"]
 LEVELS: tuple[Level, ...] = ("ok", "warning", "error")
@@ -75,7 +76,7 @@ class WatchPolicy:
                 ("warning", f"place: {len(status.changes)} changes, expected at most {self.n_changes}")
             )
         for doubt in status.doubts:
-            if doubt.p > NAMED and doubt.name not in self.ignored:
+            if doubt.p > MAJORITY and doubt.name not in self.ignored:
                 reasons.append(("error" if doubt.p > 0.99 else "warning", f"robot: {doubt.sentence()}"))
         return max(reasons, key=lambda reason: LEVELS.index(reason[0]))
 

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sensorgraph.robust import MAJORITY
 from sensorgraph.watching.evidence import FaultDoubt
 from sensorgraph.watching.place import PlaceChange
 from sensorgraph.watching.pose import PoseStatement
 
-NAMED = 0.5
-"""Probability above which a fault is named."""
 SHOWN = 0.01
 """Probability above which a hypothesis is listed."""
 
@@ -39,7 +38,7 @@ class WatchStatus:
     @property
     def faults(self) -> list[FaultDoubt]:
         """The named faults of laser and wheels."""
-        return [doubt for doubt in self.doubts if doubt.p > NAMED]
+        return [doubt for doubt in self.doubts if doubt.p > MAJORITY]
 
     def sentences(self) -> tuple[str, str, str]:
         """Return one sentence each on pose, place and robot."""

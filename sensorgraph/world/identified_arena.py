@@ -17,11 +17,10 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.cell_outline import widened_outline
 
-MIN_WALL_VISIBILITY = 0.5
-"""Visibility above which a stretch is a wall."""
 MIN_WALL_LENGTH = 0.01  # [m] of a wall
 MERGE_DISTANCE = 0.004  # [m] ends this close are one corner
 TOUCH_DISTANCE = 0.06  # [m] walls with ends this close belong to one object
@@ -89,7 +88,7 @@ def _walls(model: Faces) -> tuple[Floats, Floats]:
     """Return the ends (n, 2, 2) of all reliably observed stretches, with merged corners, and their normals."""
     faces = model.faces
     owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
-    at = np.flatnonzero(faces.levels > MIN_WALL_VISIBILITY)
+    at = np.flatnonzero(faces.levels > MAJORITY)
     joined = np.flatnonzero(
         (np.diff(at) == 1) & (owner[at[1:]] == owner[at[:-1]])
     )  # a change of visibility does not end a wall

@@ -9,11 +9,12 @@ import numpy as np
 
 from logs.motion import ray_poses
 from logs.run import RangeSensor, Run, pair
+from logs.usability import MIN_SCANS
 from planners.arena import Arena
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast, cast_rays, laser_poses, ray_starts
 
-MIN_SCANS, MAX_SCANS = 10, 300
+MAX_SCANS = 300  # that are compared
 CAUSES = {
     "as logged": (1, 0.0),
     "mirrored": (-1, 0.0),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from planners.arena import Arena
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.fewest_segments import closed_corners
+from sensorgraph.world.fewest_segments import DIGITAL, closed_corners
 
 PREFIX = "map/edge_"
 """Prefix of the wall names of an occupancy-grid map; a number follows."""
@@ -30,8 +30,6 @@ MAX_OBJECT = 4.0
 """[m] Maximum extent of an object; longer ones are part of the building."""
 MIN_FREE = 100
 """[pixel²] Minimum area of free space for a robot; smaller parts are gaps between the cells of a thick wall."""
-MAX_STEP = 0.75
-"""[pixel] Maximum distance of cell borders from a chord; those of a straight wall have up to 0.71."""
 ROUND_OFF = 1e-4
 """[m] Precision of coordinates in files."""
 MIN_WALLS = 40
@@ -178,7 +176,7 @@ class _Outline:
         self.side = _side_of_cells(self.steps, free)
         # midpoints of the borders: a wall drawn in cells passes within half a pixel
         borders = self.steps[1::2]
-        corners = closed_corners(borders / pixel, MAX_STEP)
+        corners = closed_corners(borders / pixel, DIGITAL)
         self.kept: Floats = borders[corners]
         at = (2 * corners + 1).tolist()
         self.ends = list(zip(at, [*at[1:], at[0] + len(self.steps)], strict=True))

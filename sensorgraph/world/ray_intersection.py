@@ -15,8 +15,6 @@ from planners.kernel import kernel
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.wall_grid import CORNER, grid_of, nearest_in_grid
 
-SAME_PLACE = 1e-6
-"""[m] Maximum distance between a corner and the end of a wall at that corner."""
 MAX_UNSORTED_WALLS = 100
 """Number of walls up to which every ray meets every wall; beyond, rays meet the walls of the cells on their
 way ..."""

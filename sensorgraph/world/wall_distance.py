@@ -8,9 +8,9 @@ import numpy as np
 
 from planners.arena import Arena
 from planners.clearance import Barriers
+from sensorgraph.world.wall_grid import MAX_CELLS
 
 NODE_SPACING = 0.04  # [m] of the table, or coarser
-MAX_NODES = 1_000_000
 MAX_DISTANCE = 2.0  # [m] larger distances are irrelevant to a robot
 
 
@@ -23,7 +23,7 @@ class WallDistance:
 
     def __init__(self, arena: Arena) -> None:
         x0, y0, x1, y1 = arena.bounds
-        self.cell = max(NODE_SPACING, math.sqrt((x1 - x0) * (y1 - y0) / MAX_NODES))
+        self.cell = max(NODE_SPACING, math.sqrt((x1 - x0) * (y1 - y0) / MAX_CELLS))
         self.x0, self.y0 = x0, y0
         self.nx, self.ny = math.ceil((x1 - x0) / self.cell) + 1, math.ceil((y1 - y0) / self.cell) + 1
         x, y = (low + np.float64(self.cell) * np.arange(n) for low, n in ((x0, self.nx), (y0, self.ny)))

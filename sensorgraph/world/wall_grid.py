@@ -12,14 +12,14 @@ from functools import lru_cache
 import numpy as np
 
 from planners.kernel import kernel
+from planners.types import ROUND_OFF, SAME_PLACE
 from sensorgraph.types import Floats, Ints
 
 CELLS_PER_WALL = 2.0
 MAX_CELLS = 1_000_000
-PAD = 1e-6  # [m] a wall belongs to all cells within this distance, so that no ray passes between two cells
-CORNER = (
-    1e-9  # share of its length by which a wall is longer at each end, so that no ray passes through a corner
-)
+PAD = SAME_PLACE  # [m] a wall belongs to all cells within this distance, so that no ray passes between two cells
+CORNER = ROUND_OFF
+"""Share of its length by which a wall is longer at each end, so that no ray passes through a corner."""
 FAR = 1e6  # [m] maximum distance of a wall from the origin of the map
 
 

@@ -23,8 +23,8 @@ from math import atan2, erfc, hypot, pi, sqrt
 import numpy as np
 
 from planners.kernel import inner_kernel, kernel
+from planners.types import SAME_PLACE
 from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.ray_intersection import SAME_PLACE
 
 Sums = tuple[Floats, Floats, Floats, Floats]
 SQRT_2, TURN = sqrt(2.0), 2 * pi

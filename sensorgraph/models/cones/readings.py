@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planners.types import ROUND_OFF
 from sensorgraph.models.cones.kernels import ranges_to_stretch
 from sensorgraph.models.cones.settings import CONES
 from sensorgraph.models.faces.settings import FACES
@@ -99,7 +100,7 @@ class ConeReadings:
         )  # (n,) h: distance of the sensor from the line
         along = t - origins @ np.array([-sin, cos])  # (n,) s: from the foot to the nearest point
         middle = float(t.mean())
-        at_low, at_high = (np.abs(t - end) < ON_END for end in (stretch.low, stretch.high))
+        at_low, at_high = (np.abs(t - end) < ROUND_OFF for end in (stretch.low, stretch.high))
         at_end = at_low | at_high
         # dr/doffset, where the nearest point is an end or a point of the line
         scale = np.where(at_end, -height / r, -r / height)
@@ -127,10 +128,6 @@ class ConeReadings:
             stretch.low + low,
             stretch.high + high,
         )
-
-
-ON_END = 1e-9
-"""[m] Distance from an end below which the nearest point is the end."""
 
 
 def loss(ranges: Floats, predicted: Floats, sigma: float, range_max: float) -> Floats:

@@ -23,14 +23,14 @@ N_ANGLES = 720
 """Number of normal angles over the full circle in the Hough transform."""
 BIN = 0.04
 """[m] Size of the bins along a line in which readings that end there and that pass are counted."""
-FIRST_BAND = 0.06
-"""[m] Initial half width of the band about a peak's line whose readings are used for the fit."""
+FIRST_BAND = 3 * OFFSET_BIN
+"""[m] Initial half width of the band about a peak's line whose readings are used for the fit: the bins of a peak."""
 PASS_MARGIN = 0.01
 """[m] Distance, in addition to `FIT_SIGMAS`, by which a reading must be longer to pass a stretch."""
 MIN_HIT_RATIO = 0.25
 """Minimum ratio of readings that end in a bin to readings that pass it, for the bin to be occupied."""
-MAX_FAILURES, MAX_STRETCHES = 40, 600
-"""Number of successive peaks without a new stretch after which a search ends, and largest number of stretches."""
+MAX_FAILURES = 40
+"""Number of successive peaks without a new stretch after which a search ends."""
 
 
 class TangentVotes:
@@ -97,7 +97,7 @@ def search(
         return found
     votes = TangentVotes(readings, np.flatnonzero(unexplained))
     failures = 0
-    while failures < MAX_FAILURES and len(found) < MAX_STRETCHES:
+    while failures < MAX_FAILURES:
         count, line = votes.peak()
         if count < CONES.min_hits:
             break

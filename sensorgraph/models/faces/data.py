@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
+from planners.types import MAX_COORDINATE
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.faces.hit_moments import N_MOMENTS
@@ -116,8 +117,6 @@ def restored_fields(
 
 ROUNDING = 1e-6
 """Tolerance of a stored share above 1, and of the length of a normal."""
-MAX_DISTANCE = 1e8
-"""[m] Maximum distance of a stored face from the origin of map."""
 _INTEGER_FIELDS: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
 
 
@@ -171,8 +170,8 @@ def _check_face_set(faces: FaceSet) -> None:
         raise ValueError("the edges of a face are not in increasing order")
     if (np.abs(np.hypot(*faces.normals.T) - 1) > ROUNDING).any():
         raise ValueError("a normal of a face is not a unit vector")
-    check_range("offsets", faces.offsets, -MAX_DISTANCE, MAX_DISTANCE)
-    check_range("edges", faces.edges, -MAX_DISTANCE, MAX_DISTANCE)
+    check_range("offsets", faces.offsets, -MAX_COORDINATE, MAX_COORDINATE)
+    check_range("edges", faces.edges, -MAX_COORDINATE, MAX_COORDINATE)
     if len(faces.neighbour) and not (faces.neighbour.min() >= -1 and faces.neighbour.max() < k):
         raise ValueError(
             f"neighbour reaches {faces.neighbour.max()}, expected less than {k}, the number of faces"

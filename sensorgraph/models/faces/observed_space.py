@@ -17,7 +17,7 @@ from sensorgraph.types import Bools, Floats
 
 MAX_CELLS = 1 << 26
 """Maximum number of cells; a larger grid is coarsened."""
-MAX_COUNT = 255
+MAX_COUNT = int(np.iinfo(np.uint8).max)
 """Maximum count of a cell, which fits into one byte."""
 
 

@@ -18,12 +18,11 @@ from sensorgraph.models.faces.visibility import (
     stop_probabilities,
     visible_lines,
 )
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 
 SLOPE_PRECISION = 1.0 / FACES.slope_prior**2
 MIN_HITS = int(FACES.later_lines.min_hits)
-MIN_HIT_SHARE = 0.5
-"""Probability of being from a face above which a return is a hit of it; at most one face exceeds it."""
 
 
 def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
@@ -147,7 +146,7 @@ def _hits(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any) -> Any:
             continue
         n, _, _ = stop_probabilities(i, rays, faces, buckets, noise, work)
         for m in range(n):
-            if work.gamma[m] < MIN_HIT_SHARE:
+            if work.gamma[m] < MAJORITY:
                 continue
             is_hit, den, t_u, e, var = hit_of(m, i, rays, faces, noise, work)
             if not is_hit:

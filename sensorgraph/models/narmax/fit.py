@@ -17,14 +17,13 @@ from sensorgraph.models.narmax.search import ChosenTerms, SharedMoments
 from sensorgraph.models.narmax.sequences import ScanSequence, held
 from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.models.polynomial.support import ROWS_PER_TERM
+from sensorgraph.models.residual_memory import MAX_MEMORY
 from sensorgraph.types import Floats, Ints, Progress
 
 TURN_QUANTILE = 0.95
 """Quantile of the turns between scans [rad] up to which the neighbours reach."""
 MAX_SEARCH_ROWS = 20_000
 """Maximum number of scans in the search for terms, evenly spread; coefficients are estimated on all scans."""
-MAX_DROPOUT_MEMORY = 0.98
-"""Maximum increase of the probability of no return after a missing return."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,5 +222,5 @@ def fit_dropouts(ranges: Floats, phi: Floats, position: Ints) -> tuple[Floats, F
         if len(rows) < ROWS_PER_TERM * rows.shape[1]:
             rows[:, 1:-1] = 0.0  # too few rows for terms of the pose
         coefficients = np.linalg.lstsq(rows, y, rcond=None)[0]
-        theta[ray], memory[ray] = coefficients[:-1], np.clip(coefficients[-1], 0.0, MAX_DROPOUT_MEMORY)
+        theta[ray], memory[ray] = coefficients[:-1], np.clip(coefficients[-1], 0.0, MAX_MEMORY)
     return theta, memory

@@ -17,16 +17,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from planners.kernel import kernel
+from robotmodic_ident.estimation.noise_model import ALARM, TESTED_LAGS
 from sensorgraph.models.narmax.sequences import positions
-from sensorgraph.models.narmax.settings import NARMAX
+from sensorgraph.models.residual_memory import MAX_MEMORY
 from sensorgraph.types import Bools, Floats, Ints
 
-TESTED_LAGS = 10
-"""[scans] Number of lags in residual tests."""
 MAX_STEPS, MIN_GAIN = 3, 1e-3
 """Maximum number of Gauss-Newton steps, from a consistent start, and relative gain of a step below which they end."""
-MAX_ROOT = 0.98
-"""Largest modulus of the roots of the noise polynomial; it avoids slowly decaying residuals."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +99,7 @@ def estimate(phi: Floats, y: Floats, twists: Floats, index: Ints, noise_lags: in
     beta = Q.T @ y
     e = y - Q @ beta
     noise, jacobian = zero, Q
-    if noise_lags and _correlated(e, Q, runs, TESTED_LAGS) < NARMAX.test_level:
+    if noise_lags and _correlated(e, Q, runs, TESTED_LAGS[0]) < ALARM:
         beta, noise = _prediction_error(Q, y, e, runs, noise_lags)
         e, jacobian = _linearised(Q, y, beta, noise, runs)
         kept = _kept_by_bic(jacobian, e, beta, noise, R)
@@ -199,7 +196,7 @@ def _linearised(Q: Floats, y: Floats, beta: Floats, noise: Floats, runs: Stretch
 def _invertible(noise: Floats) -> Floats:
     """Move the roots of C(q) to within the unit circle."""
     roots = np.abs(np.roots(np.r_[1.0, noise])) if noise.any() else np.zeros(1)
-    share = min(1.0, MAX_ROOT / max(float(roots.max(initial=0.0)), 1e-12))
+    share = min(1.0, MAX_MEMORY / max(float(roots.max(initial=0.0)), 1e-12))
     return np.asarray(noise * share ** np.arange(1, len(noise) + 1))
 
 
@@ -210,7 +207,7 @@ def _correlated(e: Floats, G: Floats, runs: Stretches, n_lags: int) -> float:
 
 def _tests(e: Floats, G: Floats, twists: Floats, runs: Stretches) -> Floats:
     past = [e, *(twists - twists.mean(axis=0)).T]
-    return np.array(_multiplier_tests(e, G, past, runs, TESTED_LAGS))
+    return np.array(_multiplier_tests(e, G, past, runs, TESTED_LAGS[0]))
 
 
 def _multiplier_tests(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class NarmaxSettings:
-    """Defaults and limits of the options of the model, and the level of its test."""
+    """Defaults and limits of the options of the model."""
 
     lags: int = 3
     """[scans] Default number of lags."""
@@ -28,8 +28,6 @@ class NarmaxSettings:
     """[rays] Maximum distance between neighbours."""
     max_candidates: int = 4000
     """Maximum number of shared candidates; more lags or a higher degree would take too long."""
-    test_level: float = 0.05
-    """p-value of the test for autocorrelation below which a ray has noise terms; the usual level."""
 
 
 NARMAX = NarmaxSettings()

@@ -12,11 +12,11 @@ from logs.run import RangeSensor
 from robotmodic_ident import Scale
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.narmax.candidates import NarmaxForm, ReadingScale, form_from
-from sensorgraph.models.narmax.fit import MAX_DROPOUT_MEMORY
 from sensorgraph.models.narmax.settings import NARMAX
 from sensorgraph.models.polynomial.complexity import Auto
 from sensorgraph.models.polynomial.stored_form import check_order, check_scale
 from sensorgraph.models.polynomial.support import QUANTILES, Support
+from sensorgraph.models.residual_memory import MAX_MEMORY
 from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Ints
 
@@ -53,7 +53,7 @@ def restored(
     _check_neighbours(form, arrays["order"], m)
     for name in ("rows", "sigma", "spread"):
         check_range(name, arrays[name], 0)
-    check_range("memory", arrays["memory"], 0, MAX_DROPOUT_MEMORY)
+    check_range("memory", arrays["memory"], 0, MAX_MEMORY)
     check_range("tests", arrays["tests"], -1, 1)
     scale = Scale.from_dict(header["scale"])
     check_scale(scale, form.degree)

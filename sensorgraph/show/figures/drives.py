@@ -16,6 +16,7 @@ from sensorgraph.show.figures.style import (
     FINE,
     INK,
     LINE,
+    MAX_POINTS,
     SOLID,
     TEAL,
     TEXT,
@@ -29,9 +30,6 @@ from sensorgraph.show.figures.style import (
     save_figure,
 )
 from sensorgraph.types import Floats
-
-MAX_TRACK_POINTS = 60_000
-"""Maximum number of points of a drawn track; a longer track is thinned."""
 
 
 def race_picture(races: dict[str, tuple[Floats, Floats, Coverage]], arena: Arena, path: Path) -> None:
@@ -71,7 +69,7 @@ def tracks_picture(tracks: Mapping[str, Floats], arena: Arena, path: Path) -> No
         figure.subplots(1, len(tracks), squeeze=False)[0], tracks.items(), strict=True
     ):
         draw_floor(axes, arena)
-        every = max(len(track) // MAX_TRACK_POINTS, 1)
+        every = max(len(track) // MAX_POINTS, 1)
         axes.plot(*track[::every].T, color=ALARM, lw=0.7, alpha=0.8, zorder=3)
         axes.plot(*track[0], "o", ms=7, mfc="white", mec=INK, mew=1.5, zorder=6)
         axes.set_title(name.replace("_", " "), loc="left", fontsize=TITLE, color=INK)

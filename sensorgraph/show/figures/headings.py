@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planners import Plan
 from planners.arena import Arena
+from planners.coverage import HEADINGS
 from planners.holes import unmet
 from sensorgraph.show.figures.plan import REASONS, legend_above, title_flush_left
 from sensorgraph.show.figures.style import (
@@ -27,8 +28,6 @@ from sensorgraph.show.figures.style import (
 )
 from sensorgraph.types import Floats
 
-MAX_HEADINGS = 16
-"""Maximum number of headings that are drawn; of more headings, evenly spaced ones are drawn."""
 SHEET_WIDTH, SHEET_ASPECT = 10.0, 1.4
 """[in] Width of the sheet, and its approximate ratio of width to height."""
 
@@ -62,9 +61,7 @@ def headings_picture(plan: Plan, arena: Arena, path: Path) -> None:
     from matplotlib.transforms import Affine2D
 
     grid = plan.coverage
-    shown = np.unique(
-        np.linspace(0, grid.headings, min(grid.headings, MAX_HEADINGS), endpoint=False).astype(int)
-    )
+    shown = np.unique(np.linspace(0, grid.headings, min(grid.headings, HEADINGS), endpoint=False).astype(int))
     size = np.array([arena.bounds[2] - arena.bounds[0], arena.bounds[3] - arena.bounds[1]])
     label = 0.15 * size.max()
     step = size + [0.08 * size.max(), label]

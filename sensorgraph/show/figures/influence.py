@@ -9,6 +9,7 @@ import numpy as np
 from sensorgraph.identification.influence import QUANTITIES, Influence, is_determined
 from sensorgraph.show.figures.style import (
     INK,
+    SMALL,
     SOLID,
     TEAL,
     TITLE,
@@ -21,8 +22,6 @@ from sensorgraph.show.figures.style import (
 )
 
 SHOWN_TRACKS = 32
-SMALL = 8.5
-"""[pt] Font size in the charts."""
 
 
 def influence_picture(found: Influence, path: Path) -> None:

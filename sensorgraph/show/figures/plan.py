@@ -19,6 +19,7 @@ from sensorgraph.show.figures.style import (
     HEADLINE,
     INK,
     LEGEND_ROOM,
+    MAX_POINTS,
     SMALL,
     SOFT,
     SOLID,
@@ -32,8 +33,8 @@ from sensorgraph.show.figures.style import (
     save_figure,
 )
 
-STEPS_PER_SIDE, MAX_ROUTE_POINTS = 400, 60_000
-"""Number of route points along the longer side of the arena, and maximum number of points of the whole route."""
+STEPS_PER_SIDE = 400
+"""Number of route points along the longer side of the arena."""
 MAX_RULED_CELLS = 40
 """Maximum number of cells along the longer side for which grid lines are drawn."""
 REASONS = {
@@ -87,7 +88,7 @@ def _route(figure: Any, axes: Any, plan: Plan) -> None:
     poses, stamps = plan.trajectory.poses, plan.trajectory.stamps
     extent = max(_side(plan), 1e-9)
     driven = distances_along(poses)
-    step = max(extent / STEPS_PER_SIDE, driven[-1] / MAX_ROUTE_POINTS)
+    step = max(extent / STEPS_PER_SIDE, driven[-1] / MAX_POINTS)
     shown = np.append(np.flatnonzero(np.diff(np.floor(driven / step), prepend=-1.0)), len(driven) - 1)
     line, when = poses[shown, :2], stamps[shown] / 60.0
     pieces = np.stack([line[:-1], line[1:]], axis=1)

@@ -24,6 +24,8 @@ TEAL, AMBER, ALARM = "#2a788e", "#c9892b", "#d1345b"
 
 TINY, SMALL, TEXT, SUBTITLE, TITLE, HEADLINE = 7, 8, 9, 10, 10.5, 11.5
 """[pt] Font sizes: statistics within a chart, ticks and legends, labels, and three levels of titles."""
+MAX_POINTS = 60_000
+"""Maximum number of points of a track, a cloud or a map; more are thinned evenly."""
 FINE, LINE = 0.6, 1.9
 """[pt] Widths of grid lines and of a main curve."""
 TITLE_ROOM, LEGEND_ROOM, CHART_ROOM = 0.6, 1.2, 0.7

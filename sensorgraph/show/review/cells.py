@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planners.arena import Arena
-from planners.coverage import Coverage
+from planners.coverage import CELL, HEADINGS, Coverage
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF_DISTANCE
@@ -20,10 +20,8 @@ from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.planning.priority import uncertainty
 from sensorgraph.types import Bools, Floats, Ints
 
-CELL_SIZE, MAX_CELLS = 0.25, 40_000
-"""[m] Side of a cell, which is doubled until there are at most MAX_CELLS cells."""
-N_HEADINGS = 16
-"""Number of heading bins in a full turn."""
+MAX_CELLS = 40_000
+"""Maximum number of cells; the side of a cell is doubled until there are no more."""
 EXPECTED_ERROR_HEADINGS = 4
 """Number of headings in which the expected error of a place is predicted."""
 EXPECTED_ERROR_RAYS = 60
@@ -167,7 +165,7 @@ def count_cells(
     visited : (n, 3) [m, m, rad] Poses of all scans.
     shown : (m, 3) [m, m, rad] Poses of the evaluated scans.
     rays : Lasers (m, n_rays or 1, 3) in map, and (m, n_rays, 2) with bearing in map [rad] and range [m].
-    cell : [m] Side of a cell. None: CELL_SIZE, or larger if there would be too many cells.
+    cell : [m] Side of a cell. None: CELL, or larger if there would be too many cells.
     """
     ends = _ends(*rays)
     if arena is not None:
@@ -176,14 +174,14 @@ def count_cells(
         low, high = np.quantile(ends.reshape(-1, 2), [0.005, 0.995], axis=0)
     low = np.minimum(low, visited[:, :2].min(axis=0))
     high = np.maximum(high, visited[:, :2].max(axis=0))
-    side = cell or CELL_SIZE
+    side = cell or CELL
     while cell is None and np.prod((high - low) / side + 2) > MAX_CELLS:
         side *= 2
     origin = np.floor(low / side) * side
     last = np.floor((visited[:, :2].max(axis=0) - origin) / side) + 1
     shape = np.maximum(np.ceil((high - origin) / side - 1e-9), last).astype(int)
     free = _free(origin, side, shape, arena, rays[0], ends)
-    grid = Coverage.empty(origin=origin, cell=side, cells=free, headings=N_HEADINGS)
+    grid = Coverage.empty(origin=origin, cell=side, cells=free, headings=HEADINGS)
     grid.add(visited)
     grid.reachable[:] |= np.any(grid.counts > 0, axis=2, keepdims=True)
     return ReviewCells(

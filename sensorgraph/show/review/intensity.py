@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from sensorgraph.show.figures.style import MAX_POINTS
 from sensorgraph.show.review.contents import Review
 from sensorgraph.show.review.maps import colours
 from sensorgraph.types import Floats
 
-MAX_POINTS = 60_000
-"""Maximum number of drawn returns, from evenly spaced scans."""
 SCALE = (0.01, 0.99)
 """Quantiles of the intensities at the ends of the colour scale, so that a few reflectors do not darken the rest."""
 LABEL = "intensity: violet weak, yellow strong"

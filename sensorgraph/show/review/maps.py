@@ -6,7 +6,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from sensorgraph.show.review.cells import N_HEADINGS, SATURATING_UNANSWERED, RayCounts, ReviewCells
+from planners.coverage import HEADINGS
+from sensorgraph.show.review.cells import SATURATING_UNANSWERED, RayCounts, ReviewCells
 from sensorgraph.show.review.contents import RayVerdict
 from sensorgraph.types import Bools, Floats
 
@@ -86,7 +87,7 @@ def verdict_colours(counts: RayCounts, saturating_wrong: float, free: Bools | No
 def log_voxels(recording: rr.RecordingStream, cells: ReviewCells) -> None:
     """Log the (x, y, phi) cells above the floor; the height of a full turn is half the width of the floor."""
     nx, ny, _ = cells.counts.shape
-    high = 0.5 * max(nx, ny) * cells.cell / N_HEADINGS
+    high = 0.5 * max(nx, ny) * cells.cell / HEADINGS
     if cells.ray_counts is not None:
         chosen = cells.ray_counts.scored > 0
         colour = verdict_colours(cells.ray_counts, cells.ray_counts.by_place.saturating_wrong)[chosen]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from planners.coverage import HEADINGS
 from sensorgraph.building.build import training_scans
 from sensorgraph.evaluation.evaluate import Evaluation
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.show.review.cells import N_HEADINGS, SATURATING_UNANSWERED, WORTH_A_VISIT, ReviewCells
+from sensorgraph.show.review.cells import SATURATING_UNANSWERED, WORTH_A_VISIT, ReviewCells
 from sensorgraph.show.review.contents import Review
 
 
@@ -21,7 +22,7 @@ def report(review: Review) -> str:
         f"Shown: {len(review.shown):,} scans"
         + (", evenly spaced." if len(review.shown) < review.pairing.paired.sum() else ", all of them."),
         "",
-        f"**Coverage**: {visited:,} cells of {cells.cell:g} m × {360 / N_HEADINGS:g}° visited.",
+        f"**Coverage**: {visited:,} cells of {cells.cell:g} m × {360 / HEADINGS:g}° visited.",
     ]
     if review.plan is not None and "coverage" in review.plan:
         share, grid = f"{100 * review.plan['coverage']:.2f} %", review.plan["grid"]
@@ -102,7 +103,7 @@ def _legend(review: Review) -> list[str]:
         "",
         "**Other maps**, from dark to yellow: *expected error* 0 to 100 %, "
         f"*not answered* 0 to {100 * SATURATING_UNANSWERED:.0f} %, *wrong* 0 to {pink:.0f} % of the answered rays, "
-        f"*error* 0 to {100 * cells.error_top:.2g} cm, *coverage* 0 to {N_HEADINGS} headings.",
+        f"*error* 0 to {100 * cells.error_top:.2g} cm, *coverage* 0 to {HEADINGS} headings.",
     ]
 
 

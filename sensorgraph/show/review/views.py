@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 from logs.transforms import wrap
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
+from sensorgraph.show.figures.style import MAX_POINTS
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.show.review.contents import RayVerdict, Review
 from sensorgraph.show.review.intensity import LABEL as INTENSITY_LABEL
@@ -21,8 +22,8 @@ from sensorgraph.show.review.report import report
 from sensorgraph.types import Floats, Progress
 
 SCANS_PER_CHUNK = 500
-CLOUD_REACH, MAX_CLOUD_POINTS = 20.0, 60_000
-"""[m] and [points] Limits of the point cloud that replaces the walls if there is no map."""
+CLOUD_REACH = 20.0
+"""[m] Limit of the ranges in the point cloud that replaces the walls if there is no map."""
 ROBOT, PLANNED, CLOUD = (90, 220, 140), (60, 75, 110), (95, 95, 110)
 """Colours. Negative radii below are in screen points, not in metres."""
 DEVIATIONS = {"x [cm]": WHITE, "y [cm]": ORANGE, "phi [deg]": ROBOT}
@@ -65,7 +66,7 @@ def _log_static(recording: rr.RecordingStream, review: Review) -> None:
         cloud = np.concatenate(
             review.points(np.where(review.measured < CLOUD_REACH, review.measured, np.nan))
         )
-        thin = cloud[:: max(1, len(cloud) // MAX_CLOUD_POINTS)]
+        thin = cloud[:: max(1, len(cloud) // MAX_POINTS)]
         recording.log("plan/arena", rr.Points2D(thin, colors=CLOUD, radii=-0.7), static=True)
     if review.planned is not None:
         recording.log(
