@@ -22,8 +22,8 @@ from sensorgraph.models.narmax.sequences import positions
 from sensorgraph.models.residual_memory import MAX_MEMORY
 from sensorgraph.types import Bools, Floats, Ints
 
-MAX_STEPS, MIN_GAIN = 3, 1e-3
-"""Maximum number of Gauss-Newton steps, from a consistent start, and relative gain of a step below which they end."""
+MAX_STEPS = 3
+"""Maximum number of Gauss-Newton steps, from a consistent start; they end when one brings no gain."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,10 +143,7 @@ def _prediction_error(
         new = float(new_error @ new_error)
         if not new < cost:
             break
-        gain = (cost - new) / cost
         (beta, noise), error, jacobian, cost = trial, new_error, new_jacobian, new
-        if gain < MIN_GAIN:
-            break
     plain = float(e @ e)
     return (beta, noise) if cost < plain else (Q.T @ y, np.zeros(noise_lags))
 
