@@ -105,7 +105,7 @@ def wanted_bin(u: float, v: float, heading_bin: int, is_core: bool, need: Bools,
         return -1
     if inner[i, k] and (abs(u - i - 0.5) > 0.25 or abs(v - k - 0.5) > 0.25 or not is_core):
         return -1
-    return (i * need.shape[1] + k) * need.shape[2] + heading_bin
+    return int((i * need.shape[1] + k) * need.shape[2] + heading_bin)
 
 
 @inlined_kernel
