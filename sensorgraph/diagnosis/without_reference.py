@@ -13,7 +13,7 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.comparison import ABSORBED, QUANTITIES
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, check_odometry, diagnose_driving
-from sensorgraph.diagnosis.motion.calibration.effects import SURE, effects_of
+from sensorgraph.diagnosis.motion.calibration.effects import effects_of
 from sensorgraph.diagnosis.result import ChannelResult, Rival
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
@@ -86,18 +86,14 @@ def _wrong_metre(
     name, found = list(driving.runs.items())[-1]
     s, s_error = stretch["s"], stretch.stderr["s"] if stretch.stderr else 0.0
     in_map = found.by_metre(1 + s, s_error)
-    agrees_with_laser, agrees_with_map = (_agrees(*one.of("way_scale")) for one in (found, in_map))
+    q, ways = QUANTITIES["way_scale"], (one.of("way_scale") for one in (found, in_map))
+    agrees_with_laser, agrees_with_map = (not q.is_off(way - 1, error) for way, error in ways)
     if agrees_with_map == agrees_with_laser:
         return driving, None
     if agrees_with_laser:
         return driving, MAP_SCALE
     effects = effects_of(in_map, robot.stated_base)
     return replace(driving, runs={**driving.runs, name: in_map}, effects=effects), RANGE_SCALE
-
-
-def _agrees(way: float, error: float) -> bool:
-    """Tell whether a distance scale differs from 1 by no more than its error or its materiality."""
-    return abs(way - 1) < max(SURE * error, QUANTITIES["way_scale"].materiality)
 
 
 def _with_stretch(finding: Finding, stretch: Amendment, wrong: Effect | None) -> Finding:

@@ -139,7 +139,7 @@ def _slopes(model: DriveModel) -> StructureFamily:
 def _asked_and_moved(model: DriveModel, fit: Fit) -> tuple[Floats, Floats, Floats]:
     """Return simulated and measured rates (2, n) [m/s, rad/s], and the largest simulated ones (2, 1)."""
     asked, moved = (np.stack(by_kind(x, model.rows.n)) for x in (fit.simulated, model.rows.y))
-    return asked, moved, np.maximum(np.abs(asked).max(axis=1, keepdims=True), 1e-3)
+    return asked, moved, np.maximum(np.abs(asked).max(axis=1, keepdims=True), MIN_MOTION)
 
 
 def _by_commands(

@@ -114,7 +114,10 @@ class StructureTest:
         self.residual = y
 
     def best(self, own: Floats, candidates: Sequence[StructureFamily]) -> tuple[StructureFamily, float]:
-        """Return the best family in addition to the model's own columns (n_kinds n, k), and its evidence [nats]."""
+        """Return the best family in addition to the model's own columns (n_kinds n, k), and its evidence [nats].
+
+        All are screened with fixed noise. The noise is fitted again with the best one, and with the best one of another kind.
+        """
         here = self.evidence(own)
         screened = self._screened(own, candidates)
         for one in screened:
@@ -122,9 +125,13 @@ class StructureTest:
             if kind not in self.tested or one.evidence > self.tested[kind].evidence:
                 self.tested[kind] = one
         best = max(screened, key=lambda one: one.evidence)
-        found = self.evidence(own, best.family)
-        here = max(here, self.evidence(own))  # under the noise that was fitted with the family
-        return best.family, max(found - here, best.evidence)
+        others = [one for one in screened if one.family.kind != best.family.kind and one.evidence > MIN_GAIN]
+        tried = [best, *([max(others, key=lambda one: one.evidence)] if others else [])]
+        found = [self.evidence(own, one.family) for one in tried]
+        here = max(here, self.evidence(own))  # under the noise that was fitted with the families
+        gains = [max(all_of - here, one.evidence) for all_of, one in zip(found, tried, strict=True)]
+        k = int(np.argmax(gains))
+        return tried[k].family, gains[k]
 
     def rivals(self, family: StructureFamily) -> list[str]:
         """Return the statements of the two most likely families of other kinds, of all comparisons."""

@@ -26,6 +26,17 @@ from sensorgraph.world.robot import Wheels
 
 LEVEL = 0.05
 """Probability of a reported difference between two equal runs (over all parameters, Bonferroni)."""
+PER_SI = {"%": 100.0, "cm": 100.0, "ms": 1000.0} | dict.fromkeys(("°", "°/m"), float(np.degrees(1.0)))
+"""Unit -> its number in one SI unit."""
+
+
+def most_by_chance(n_tests: int) -> float:
+    """Return the standard errors that the largest of all parameters exceeds by chance in one of 20 equal pairs of runs."""
+    return NormalDist().inv_cdf(1 - LEVEL / (2 * len(PARAMETERS) * n_tests))
+
+
+SURE = most_by_chance(1)
+"""Standard errors. Of 100 robots without any error, five exceed it in one of the six parameters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +45,7 @@ class Quantity:
 
     title: str
     unit: str
-    factor: float
-    """From SI to the unit."""
+    """One of PER_SI."""
     effect: Effect
     """Effect that it becomes in a report."""
     causes: str
@@ -44,9 +54,18 @@ class Quantity:
     """[SI] Its change per unit of the effect."""
 
     @property
+    def factor(self) -> float:
+        """From SI to the unit."""
+        return PER_SI[self.unit]
+
+    @property
     def materiality(self) -> float:
         """[SI] minimum size that is reported."""
         return next(iter(self.effect.sizes.values())) * self.per_effect
+
+    def is_off(self, value: float, stderr: float) -> bool:
+        """Tell whether a value [SI] is surely not zero and large enough to matter."""
+        return abs(value) > max(SURE * stderr, self.materiality)
 
     def text(self, value: float, stderr: float, *, sign: bool = True) -> str:
         """Return value and standard error in the unit."""
@@ -60,21 +79,18 @@ QUANTITIES: Mapping[str, Quantity] = {
     "way_scale": Quantity(
         title="distance scale",
         unit="%",
-        factor=100.0,
         effect=WHEEL_RADIUS,
         causes="tyre pressure or wear, a load, another floor, or another laser",
     ),
     "turn_scale": Quantity(
         title="turn scale",
         unit="%",
-        factor=100.0,
         effect=WHEEL_BASE,
         causes="a change of tyre, load or floor, which moves the contact points of the wheels",
     ),
     "heading_bias": Quantity(
         title="heading bias",
         unit="°/m",
-        factor=float(np.degrees(1.0)),
         effect=WHEEL_RADIUS_DIFF,
         causes="pressure loss or wear of one tyre, or a load on one side",
         per_effect=1.0 / Wheels().base,
@@ -82,24 +98,19 @@ QUANTITIES: Mapping[str, Quantity] = {
     "mount_x": Quantity(
         title="mount x",
         unit="cm",
-        factor=100.0,
         effect=MOUNT_XY,
         causes="the laser was moved, or a load shifts the centre of rotation",
     ),
-    "mount_y": Quantity(
-        title="mount y", unit="cm", factor=100.0, effect=MOUNT_XY, causes="the laser was moved"
-    ),
+    "mount_y": Quantity(title="mount y", unit="cm", effect=MOUNT_XY, causes="the laser was moved"),
     "mount_phi": Quantity(
         title="mount angle",
         unit="°",
-        factor=float(np.degrees(1.0)),
         effect=MOUNT_YAW,
         causes="the laser was knocked, or the robot slides sideways on another floor",
     ),
     "delay": Quantity(
         title="scan delay",
         unit="ms",
-        factor=1e3,
         effect=LATENCY,
         causes="another driver, or a busy computer",
     ),
@@ -230,8 +241,3 @@ def _time_of(rows: WindowRows, parameter: int) -> float:
         late = rows.A[:, :, parameter] * (np.arange(rows.n) >= k)[:, None]
         gains.append(rows.regression(late).solve(prior).log_posterior)
     return float(rows.from_s[first + int(np.argmax(gains))])
-
-
-def most_by_chance(n_tests: int) -> float:
-    """Return the standard errors that the largest of all parameters exceeds by chance in one of 20 equal pairs of runs."""
-    return NormalDist().inv_cdf(1 - LEVEL / (2 * len(PARAMETERS) * n_tests))

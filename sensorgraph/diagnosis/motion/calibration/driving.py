@@ -23,7 +23,6 @@ from sensorgraph.diagnosis.motion.calibration.comparison import (
     is_long_enough,
 )
 from sensorgraph.diagnosis.motion.calibration.effects import (
-    SURE,
     driving_channel,
     driving_ledger,
     effects_of,
@@ -157,7 +156,7 @@ def headline(found: DrivingCalibration, change: Change | None) -> str:
     told = [
         f"{q[name].title} {q[name].text(d, sd)}"
         for name, (d, sd) in off.items()
-        if name not in found.hidden and abs(d) > max(SURE * sd, q[name].materiality)
+        if name not in found.hidden and q[name].is_off(d, sd)
     ]
     if told:
         return f"Wheels and mount differ from the specified values: {', '.join(told)}."
@@ -208,7 +207,7 @@ def _delay_lines(found: DrivingCalibration) -> list[str]:
         return []
     delay, sd = found.of("delay")
     q = QUANTITIES["delay"]
-    if abs(delay) > max(SURE * sd, q.materiality):
+    if q.is_off(delay, sd):
         older = "older" if delay < 0 else "newer"
         return [
             f"scan delay: scans are {1e3 * abs(delay):.0f} ± {1e3 * sd:.0f} ms {older} than the odometry at their stamps"
@@ -220,7 +219,7 @@ def _floor_lines(found: DrivingCalibration) -> list[str]:
     """Return the drift with the floor, if there is one."""
     drift = found.values[-2:]
     size, sd = float(np.hypot(*drift)), float(found.stderr[-2:].max())
-    if size <= max(QUANTITIES["way_scale"].materiality, SURE * sd):
+    if not QUANTITIES["way_scale"].is_off(size, sd):
         return []
     return [
         f"floor: moves the robot {100 * size:.1f} ± {100 * sd:.1f} cm per metre towards "

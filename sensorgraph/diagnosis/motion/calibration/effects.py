@@ -10,9 +10,9 @@ from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger
 from sensorgraph.diagnosis.ledger import effect_entry, least_size, ledger_of
 from sensorgraph.diagnosis.motion.calibration.comparison import (
     QUANTITIES,
+    SURE,
     Change,
     is_long_enough,
-    most_by_chance,
 )
 from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, DrivingCalibration
 from sensorgraph.diagnosis.motion.wheel_structure import ODOMETRY_FAMILIES
@@ -25,8 +25,6 @@ from sensorgraph.effects.wheel_base import WHEEL_BASE
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 
-SURE = most_by_chance(1)
-"""Standard errors. Of 100 robots without any error, five exceed it in one of the six parameters."""
 THRESHOLD = SURE**2 / 2
 """[nats] Evidence of an estimate that is `SURE` standard errors off."""
 CHANGE = ODOMETRY_FAMILIES["jump"]
@@ -84,7 +82,10 @@ def effects_of(found: DrivingCalibration, base: float | None) -> tuple[Amendment
 
 def hidden_effects(found: DrivingCalibration) -> dict[str, str]:
     """Return the effects that a run does not show, with the reason."""
-    return {QUANTITIES[name].effect.name: why for name, why in reversed(found.hidden.items())}
+    return {
+        QUANTITIES[name].effect.name: f"{QUANTITIES[name].title}: {why}"
+        for name, why in reversed(found.hidden.items())
+    }
 
 
 def driving_channel(
