@@ -13,7 +13,7 @@ from localization_samples import ROOM, room_run, timed
 
 from planners.arena import Arena
 from planners.maps import geojson, ros_map
-from sensorgraph.localization.arena_walls import free_sides, straight_walls
+from sensorgraph.localization.arena_walls import STEP, drawn_walls, straight_walls
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import MapWalls
 from sensorgraph.localization.locate import walls_of_place
@@ -33,16 +33,20 @@ def polygon(name: str, kind: str, ring: list[tuple[float, float]]) -> dict[str, 
     }
 
 
-@cache
-def office() -> Arena:
-    """Return the room with its box and the partition."""
+def arena_text(thin: list[tuple[float, float]] = THIN) -> str:
+    """Return the room with its box and a partition."""
     outline, box = [wall[:2] for wall in ROOM[:10]], [wall[:2] for wall in ROOM[10:]]
     features = [
         polygon("room", "arena", outline),
         polygon("box", "obstacle", box),
-        polygon("thin", "obstacle", THIN),
+        polygon("thin", "obstacle", thin),
     ]
-    return geojson.loads(json.dumps({"type": "FeatureCollection", "features": features}))
+    return json.dumps({"type": "FeatureCollection", "features": features})
+
+
+@cache
+def office() -> Arena:
+    return geojson.loads(arena_text())
 
 
 @cache
@@ -80,17 +84,19 @@ def errors(given: MapWalls) -> Floats:
     return np.hypot(*(found.poses - TRUTH)[:, :2].T)
 
 
-def test_free_side_of_a_wall_is_that_of_the_polygon() -> None:
-    arena, normals = office(), free_sides(office())
-    known = normals.any(axis=1)
-    assert [name for name, one in zip(arena.names, known, strict=True) if not one] == [
-        "thin/edge_0"
-    ]  # on the outline
-    assert np.hypot(*normals[known].T) == pytest.approx(1.0)
-    assert np.abs((normals * np.diff(arena.walls, axis=1)[:, 0]).sum(axis=1)).max() < 1e-12  # across the wall
-    middle = arena.walls.mean(axis=1)
-    assert arena.contains(middle + 0.02 * normals)[known].all()
-    assert not arena.contains(middle - 0.02 * normals).any()
+@pytest.mark.parametrize(
+    "shift", [0.0, 1.0, 1.03], ids=["partition", "in the middle of the floor", "off the pieces"]
+)
+def test_walls_with_their_free_sides_are_the_border_of_free_space(shift: float) -> None:
+    arena = geojson.loads(arena_text(thin=[(x - shift, y) for x, y in THIN]))
+    walls, normals = drawn_walls(arena)
+    ahead = np.diff(walls, axis=1)[:, 0]
+    covered = 2  # borders between a covered part of the floor and a free one
+    assert np.hypot(*ahead.T).sum() == pytest.approx(arena.free.length, abs=covered * STEP)
+    assert np.hypot(*normals.T) == pytest.approx(1.0)
+    assert np.abs((normals * ahead).sum(axis=1)).max() < 1e-12  # across the wall
+    assert arena.contains(walls.mean(axis=1) + 0.02 * normals).all()
+    assert not arena.contains(walls.mean(axis=1) - 0.02 * normals).any()
 
 
 def test_wall_in_the_middle_of_free_space_has_no_side() -> None:
@@ -98,7 +104,17 @@ def test_wall_in_the_middle_of_free_space_has_no_side() -> None:
     line = np.array([[[1.0, 4.0], [2.0, 4.0]]])
     both = replace(arena, walls=np.concatenate([arena.walls, line]), names=(*arena.names, "glass/edge_0"),
                    surfaces=(*arena.surfaces, "wall"))  # fmt: skip
-    assert free_sides(both)[-1].tolist() == [0.0, 0.0]
+    walls, normals = drawn_walls(both)
+    assert walls[-1].tolist() == line[0].tolist() and normals[-1].tolist() == [0.0, 0.0]
+
+
+def test_gap_between_two_walls_shows_none_of_its_sides() -> None:
+    beside = [(x + 0.12, y) for x, y in THIN]  # 2 cm from the partition
+    data = json.loads(arena_text())
+    data["features"].append(polygon("second", "obstacle", beside))
+    walls, normals = drawn_walls(geojson.loads(json.dumps(data)))
+    between = (walls[..., 0].min(axis=1) > 5.04) & (walls[..., 0].max(axis=1) < 5.08)
+    assert not between.any() and normals.any(axis=1).all()
 
 
 def test_robot_is_not_drawn_into_a_thin_wall_of_a_drawn_arena() -> None:
@@ -114,12 +130,12 @@ def test_straight_walls_of_cells_run_along_the_drawn_ones() -> None:
     assert found is not None
     walls, normals = found
     true = shapely.MultiLineString(list(office().walls))
-    long = np.hypot(*np.diff(walls, axis=1)[:, 0].T) > 0.3
-    assert (
-        long.sum() >= 12 and shapely.distance(shapely.points(walls[long].mean(axis=1)), true).max() < CELL / 2
-    )
+    length = np.hypot(*np.diff(walls, axis=1)[:, 0].T)
+    long = length > 6 * CELL
+    assert length[long].sum() > 0.9 * office().free.length
+    assert shapely.distance(shapely.points(walls[long].mean(axis=1)), true).max() < CELL / 2
     sided = long & normals.any(axis=1)
-    assert sided.sum() >= 10
+    assert length[sided].sum() > 0.8 * office().free.length
     assert office().contains(walls[sided].mean(axis=1) + CELL * normals[sided]).all()
 
 

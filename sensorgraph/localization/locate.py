@@ -18,7 +18,7 @@ from planners.arena import Arena
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays, check_returns
-from sensorgraph.localization.arena_walls import free_sides, straight_walls
+from sensorgraph.localization.arena_walls import drawn_walls, straight_walls
 from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import MapWalls
@@ -90,10 +90,13 @@ def walls_of_place(place: Arena | Sensorgraph) -> MapWalls:
     if isinstance(place, Sensorgraph):
         walls, normals = walls_of_graph(place)
         return MapWalls(walls, seen_by_graph(place), normals)
-    straight = straight_walls(
-        place
-    )  # its cells' borders, on both sides of a wall, are better for search and tracking
-    return MapWalls(place.walls, None, free_sides(place) if straight is None else None, straight)
+    straight = straight_walls(place)
+    if (
+        straight is not None
+    ):  # the borders of the cells, on both sides of a wall, are better for search and tracking
+        return MapWalls(place.walls, straight=straight)
+    walls, normals = drawn_walls(place)
+    return MapWalls(walls, normals=normals)
 
 
 def has_reference(run: Run) -> bool:
