@@ -9,9 +9,9 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.groups import members
-from planners.maps import geojson
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import arena_in
 from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.world.identified_arena import walls_of
@@ -64,12 +64,9 @@ def other_place_warnings(graph: Sensorgraph, arena: Arena) -> list[str]:
 
 
 def _own_arena(run: Run) -> Arena | None:
-    text = run.attachments.get("arena.geojson")
-    if text is None:
-        return None
     try:
-        return geojson.loads(text.decode(errors="replace"))
-    except PlanError:  # an unreadable arena is no evidence for another place
+        return arena_in(run)
+    except SensorgraphError:  # an unreadable arena is no evidence for another place
         return None
 
 
