@@ -155,7 +155,7 @@ def reach(
     if not fits.any():
         raise PlanError(
             f"no place in the arena is {clearance:.2f} m clear of walls (the widest has "
-            f"{distance.max():.2f} m); the robot does not fit: use a smaller footprint_radius"
+            f"{distance.max():.2f} m); the robot does not fit: use a smaller `margin` or footprint_radius"
         )
     parts, _ = ndimage.label(fits)
     if start is None:

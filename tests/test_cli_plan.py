@@ -190,6 +190,7 @@ def test_baselines_take_a_duration(tmp_path: Path) -> None:
         (["square", "--headings", "0"], "headings is 0"),
         (["square", "--start", "1,2"], "expected X,Y,PHI"),
         (["square", "--start", "0.1,2,0"], "0.10 m from a wall"),
+        (["square", "--margin", "3"], "the robot does not fit: use a smaller --margin or footprint_radius"),
         (["square", "--end", "1,2"], "--end is '1,2', expected X,Y,PHI"),
         (["square", "--end", "0.1,2,0"], "end (0.1, 2) is 0.10 m from a wall"),
         (["square", "--dock", "1,1"], "--dock is '1,1', expected X,Y,PHI"),

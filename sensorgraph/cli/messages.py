@@ -19,6 +19,7 @@ FLAGS = {
     "force": "--force",
     "inputs": "--inputs",
     "lags": "--lags",
+    "margin": "--margin",
     "model": "--model",
     "n_terms": "--terms",
     "no_return": "--no-return",
