@@ -371,15 +371,15 @@ def gap_sentence(
             f"The gap is {after / floor:.2f} times the noise floor "
             f"({100 * gap.after.rmse_m:.2f} {unit} over {100 * gap.noise_floor.rmse_m:.2f} {unit})."
         ) + (QUIET_LASER.format(factor=floor / after) if is_loud else "")
-    it = "it" if n_effects == 1 else "them"
+    found = "the effect" if n_effects == 1 else "the effects"
     gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g}")
     if after > UNCHANGED * before:
         return (
-            f"With {it} in the model the log-likelihood rises by {gained} per reading, over {gap.n_rays:,} "
+            f"With {found} in the model the log-likelihood rises by {gained} per reading, over {gap.n_rays:,} "
             "held-out readings; the RMS gap hardly changes and is "
             f"{after / floor:.2f} times the noise floor."
         )
     return (
-        f"With {it} in the model the gap shrinks {_from_to(gap, unit)}; the log-likelihood rises by {gained} per reading), "
+        f"With {found} in the model the gap shrinks {_from_to(gap, unit)}; the log-likelihood rises by {gained} per reading), "
         "on held-out readings."
     )
