@@ -82,6 +82,30 @@ def no_pictures() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def trusting_scans() -> Iterator[None]:
+    """Let graphs be built without the checks of a log and the search for readings of the robot itself.
+
+    Both take up to half of the time of a small graph, and leave the scans of a good log as they are. Their tests are
+    test_building_stream.py, test_building_robot_parts.py, test_logs_jumps.py and test_world_self_fit.py.
+    """
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        intake = "sensorgraph.building.training_data"
+        for name in ("orientation", "self_fit", "check_jumps"):
+            monkeypatch.setattr(f"{intake}.{name}", lambda *_, **__: None)
+        monkeypatch.setattr(
+            f"{intake}.robot_parts_at_poses", lambda run, _: np.full(run.sensor.n_rays, np.nan)
+        )
+        yield
+
+
+@pytest.fixture(scope="module")
+def trusted_scans() -> Iterator[None]:
+    """Let a module about graphs trust its scans: before its own fixtures, by `pytestmark`."""
+    with trusting_scans():
+        yield
+
+
 @pytest.fixture
 def no_next_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let commands of a test plan no next run, a third of a diagnosis, where the claim is not about it."""

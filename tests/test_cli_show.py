@@ -20,6 +20,8 @@ from sensorgraph.show.figures.face_pieces import residual_pieces, visible_pieces
 from sensorgraph.show.figures.sensorgraph import predicted_ends
 from sensorgraph.world.raycast import cast
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 
 @pytest.fixture(scope="module")
 def run(room: Arena, sensor: RangeSensor) -> Run:

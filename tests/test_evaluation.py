@@ -20,6 +20,8 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.evaluation.metrics import MetricSums
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 KEYS = [
     "median_m",
     "mae_m",

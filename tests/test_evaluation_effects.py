@@ -22,6 +22,8 @@ from sensorgraph.evaluation.raycast_baseline import compare, predict
 from sensorgraph.recording.record import Commands, record
 from sensorgraph.world.robot import default_robot
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 ROOM, ROBOT = arena(), default_robot()
 EFFECTS = [strong(name) for name in ("glass", "max_range", "latency", "random_outliers", "people")]
 

@@ -34,6 +34,8 @@ from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, load_robot
 from sensorgraph.world.wall_distance import WallDistance
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 QUICK = replace(DESIGN, population=12, rounds=8, search_duration=15.0, n_predicted=5)
 TASK = DesignTask(wall_distance=0.6, speed=0.25, duration=20.0)
 INPUTS = ("L0-40", "L70-110")

@@ -24,6 +24,8 @@ from sensorgraph.recording.controllers import PolynomialController
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, load_robot
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 PLANTED = {"noise": (0.0, 0.03), "yaw": (-0.03, 0.03), "wheels": (0.9, 1.1)}
 
 

@@ -20,6 +20,8 @@ from sensorgraph.show.review.contents import collect
 from sensorgraph.show.review.review import review
 from sensorgraph.types import Floats
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 SIGMA = 0.01
 RANGE_MAX = 6.0
 

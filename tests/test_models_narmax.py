@@ -23,6 +23,8 @@ from sensorgraph.models.narmax.sequences import ScanSequence, held
 from sensorgraph.recording.identified_world import IdentifiedWorld
 from sensorgraph.world.robot import default_robot
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 SENSOR = RangeSensor(bearings=np.radians([-20.0, -10.0, 0.0, 10.0, 20.0]), range_min=0.1, range_max=40.0)
 NOISE, SIGMA = 0.6, 0.05
 A, B = np.array([0.3, 0.5, 0.1, -0.3, 0.2]), np.array([0.2, -0.2, 0.1, 0.3, -0.1])

@@ -16,6 +16,8 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models import MODELS
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 BEARINGS = np.radians(np.linspace(-90, 90, 19))
 build = partial(build_any, model="polynomial")
 FORM = {"degree": 2, "harmonics": 1, "n_terms": 18}

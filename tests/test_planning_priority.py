@@ -15,6 +15,8 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.priority import uncertainty
 from sensorgraph.world.raycast import cast
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 
 @pytest.fixture(scope="module")
 def left(room: Arena, sensor: RangeSensor) -> Sensorgraph:

@@ -22,6 +22,8 @@ from sensorgraph.planning.resume import driven_poses, other_place_warnings, shar
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import default_robot
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 
 def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None, robot: str | None = None) -> Path:
     """Record a scan at each pose, ten a second."""

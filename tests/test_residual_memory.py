@@ -17,6 +17,8 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.place_noise import places_of, squares
 from sensorgraph.models.residual_memory import ResidualMemory
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 N_RAYS = 12
 N_SCANS = 4000
 SIZES, LIFETIMES = np.array([0.1, 0.2, 0.4]), np.array([1.0, 10.0])

@@ -28,6 +28,8 @@ from sensorgraph.show.review.views import write
 from sensorgraph.types import Progress
 from sensorgraph.world.raycast import cast
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 
 @pytest.fixture(scope="module")
 def run(room: Arena, sensor: RangeSensor) -> Run:

@@ -20,6 +20,8 @@ from sensorgraph.loading import read_poses
 from sensorgraph.quantities import ANGLE, LENGTH, quantity
 from sensorgraph.world.raycast import cast
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 YAW = "- name: mount_yaw\n  parameters: {{delta: {}}}\n"
 PANE = "- name: glass\n  parameters: {{a: {}, b: 2, alpha_ret: {}, depth: 1}}\n  location: {{name: room/edge_0}}\n"
 

@@ -29,6 +29,8 @@ from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, default_robot
 from sensorgraph.world.simulate import simulate
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 
 @pytest.fixture(scope="module")
 def robot(sensor: RangeSensor) -> Robot:

@@ -28,6 +28,8 @@ from sensorgraph.world.ray_order import ray_order, with_rays_like
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import Robot, parse_robot
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 HALF = N_RAYS // 2
 ROBOT_TEXT = (
     f"sensor: {{n_rays: {N_RAYS}, fov: 6.283185307179586, range_min: 0.12, range_max: 3.5, sigma: {SIGMA}, rate: 5.0, "
