@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import further
+from conftest import further, without_pictures
 from scan_samples import ROOM_ROBOT, drive_in_room
 
 import logs
@@ -23,7 +25,6 @@ from planners.arena import Arena
 from planners.maps import geojson
 from sensorgraph.cli import run as cli
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.report import files as figures
 from sensorgraph.effects import EFFECTS
 from sensorgraph.effects.effects_file import write as write_effects
@@ -115,67 +116,50 @@ def test_the_same_seed_writes_the_same_report_with_and_without_attachments(
     assert (tmp_path / "a" / "effects.yaml").read_bytes() == (tmp_path / "b" / "effects.yaml").read_bytes()
 
 
-@pytest.mark.usefixtures("no_pictures", "no_next_run")
-def test_a_run_without_odometry_and_commands_is_diagnosed_by_its_scans(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = driven_run(0)
-    bare = replace(
-        run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)),
-        cmd_stamps=np.zeros(0), commands=np.zeros((0, 2)),
-    )  # fmt: skip
-    logs.write(bare, tmp_path / "bare.mcap")
-    assert cli(["diagnose", str(tmp_path / "bare.mcap"), "-o", str(tmp_path / "out")]) == 0
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["effects"][0]["name"] == "range_bias"
-    assert report["channels"]["odometry"]["skipped"]
-    assert report["channels"]["drive"]["skipped"]
-    lines = capsys.readouterr().out.splitlines()
-    for channel in ("odometry", "drive"):
-        assert f"{channel}: not evaluated, {report['channels'][channel]['skipped']}" in lines
+MENDED = "/scan: stamps go back 3 times, sorted"
+"""What a reader has noted of a log, and is not usual."""
 
 
-@pytest.mark.usefixtures("no_pictures")
-def test_poses_that_stop_early_are_counted(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = driven_run(0)
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """Diagnose a mended log whose poses stop early and are of another place; return the report's folder and what was said."""
+    folder, run = tmp_path_factory.mktemp("elsewhere"), driven_run(0)
     early = run.pose_stamps < 18.0
-    elsewhere = run.poses[early] + [4.0, 1.0, 0.0]  # where scans do not fit, nothing is searched for
-    logs.write(replace(run, pose_stamps=run.pose_stamps[early], poses=elsewhere), tmp_path / "cut.mcap")
-    assert cli(["diagnose", str(tmp_path / "cut.mcap"), "-o", str(tmp_path / "out")]) == 0
-    intake = json.loads((tmp_path / "out" / "report.json").read_text())["intake"]
+    meta = {**run.meta, "source": "off.mcap", "notes": f"{MENDED}; 3 ranges are above range_max 8 m: +inf"}
+    off = replace(
+        run, pose_stamps=run.pose_stamps[early], poses=run.poses[early] + [4.0, 1.0, 0.0], meta=meta
+    )
+    logs.write(off, folder / "off.mcap")
+    said, warned = io.StringIO(), io.StringIO()
+    with without_pictures(), redirect_stdout(said), redirect_stderr(warned):
+        assert cli(["diagnose", str(folder / "off.mcap"), "-o", str(folder / "out")]) == 0
+    return folder / "out", said.getvalue(), warned.getvalue()
+
+
+def test_poses_that_stop_early_are_counted(elsewhere: tuple[Path, str, str]) -> None:
+    folder, said, _ = elsewhere
+    intake = json.loads((folder / "report.json").read_text())["intake"]
     assert intake["dropped"]["after the last pose"] > 50
     assert intake["used"] < 0.65 * intake["scans"]
-    out = capsys.readouterr().out
-    assert f"used {intake['used']} of {intake['scans']} scans; dropped: " in out
-    assert "after the last pose" in out
+    assert f"used {intake['used']} of {intake['scans']} scans; dropped: " in said
+    assert "after the last pose" in said
 
 
-@pytest.mark.usefixtures("no_pictures")
-def test_an_arena_of_another_place_is_said_first(folder: Path, tmp_path: Path) -> None:
-    run = driven_run(0)
-    logs.write(replace(run, poses=run.poses + [4.0, 1.0, 0.0]), tmp_path / "off.mcap")
-    assert cli(["diagnose", str(tmp_path / "off.mcap"), "-o", str(tmp_path / "out")]) == 0
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+def test_an_arena_of_another_place_is_said_first(elsewhere: tuple[Path, str, str]) -> None:
+    report = json.loads((elsewhere[0] / "report.json").read_text())
     assert report["effects"] == []
     assert "does not fit" in report["unknown"]["statement"]
     assert "moved by (-" in report["unknown"]["statement"]
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_what_was_taken_for_granted_of_a_log_is_said_on_all_channels(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    elsewhere: tuple[Path, str, str],
 ) -> None:
-    run = driven_run(0)
-    mended, usual = "/scan: stamps go back 3 times, sorted", "3 ranges are above range_max 8 m: +inf"
-    meta = {**run.meta, "source": "off.mcap", "notes": f"{mended}; {usual}"}
-    logs.write(replace(run, poses=run.poses + [4.0, 1.0, 0.0], meta=meta), tmp_path / "off.mcap")
-    assert cli(["diagnose", str(tmp_path / "off.mcap"), "-o", str(tmp_path / "out")]) == 0
-    assert f"warning: off.mcap: {mended}\n" in capsys.readouterr().err
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["intake"]["log_notes"] == [f"off.mcap: {mended}"]
-    assert f"Warning: off.mcap: {mended}" in (tmp_path / "out" / "report.html").read_text()
+    folder, _, warned = elsewhere
+    assert f"warning: off.mcap: {MENDED}\n" in warned
+    report = json.loads((folder / "report.json").read_text())
+    assert report["intake"]["log_notes"] == [f"off.mcap: {MENDED}"]
+    assert f"Warning: off.mcap: {MENDED}" in (folder / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -300,18 +284,13 @@ def test_effects_that_are_known_may_name_no_other_place(
     assert load_robot(None).name == "radix"
 
 
-@cache
-def finding(plan_next: bool) -> Finding:
-    """Return what `driven_run(0)` shows."""
-    return diagnose(driven_run(0), load_arena("square"), parse_robot(ROBOT), plan_next=plan_next)
-
-
 @pytest.mark.parametrize(
     "where", ["residuals_picture", pytest.param("next_run_picture", marks=pytest.mark.slow)]
 )
 def test_ctrl_c_leaves_the_last_report_as_it_was(
     where: str,
     folder: Path,
+    room: Arena,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -320,7 +299,8 @@ def test_ctrl_c_leaves_the_last_report_as_it_was(
         signal.raise_signal(signal.SIGINT)
 
     (tmp_path / "report.json").write_text("of the last run")
-    found = finding(plan_next=where == "next_run_picture")
+    planned = where == "next_run_picture"
+    found = diagnose(drive_in_room(room, bias=0.03), room, parse_robot(ROOM_ROBOT), plan_next=planned)
     monkeypatch.setattr("sensorgraph.diagnosis.diagnose.diagnose", lambda *_, **__: found)
     monkeypatch.setattr(figures, where, interrupted)
     assert cli(["diagnose", str(folder / "run.mcap"), "-o", str(tmp_path)]) == 130
@@ -361,6 +341,10 @@ def test_the_command_writes_a_report_and_says_what_it_found(
     out = capsys.readouterr().out
     assert out.startswith("Found: range bias, +")
     assert "report.html" in out
+    report = json.loads((tmp_path / "new" / "out" / "report.json").read_text())
+    for channel in ("odometry", "drive"):  # the run has neither odometry nor commands
+        skipped = report["channels"][channel]["skipped"]
+        assert skipped and f"{channel}: not evaluated, {skipped}" in out.splitlines()
     assert {path.name for path in (tmp_path / "new" / "out").iterdir()} >= {
         "report.json", "report.html", "effects.yaml", "review.rrd", "timing.json",
     }  # fmt: skip
