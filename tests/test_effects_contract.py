@@ -234,7 +234,7 @@ def test_a_further_effect_of_wheels_or_motors_is_found_once_it_is_in_the_library
     assert finding.channels[effect.channel].unknown is None
 
 
-@pytest.mark.parametrize("effect", [SCRUB, SAG], ids=["wheels", "motors"])
+@pytest.mark.parametrize("effect", [SCRUB, *further(SAG)], ids=["wheels", "motors"])
 def test_a_further_effect_of_wheels_or_motors_is_not_found_where_it_is_not(
     effect: Effect, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

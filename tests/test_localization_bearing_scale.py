@@ -115,6 +115,7 @@ def test_a_view_that_shows_any_step_leaves_the_bearings() -> None:
     assert estimated_scale(sensor, start, start, motion) is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_sought")
 def test_a_robot_that_only_spins_leaves_the_bearings() -> None:
     turn = np.linspace(0, 2 * np.pi, 60)
