@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import cache
@@ -311,12 +310,16 @@ def test_ctrl_c_leaves_the_last_report_as_it_was(
 
 @pytest.mark.slow
 def test_ctrl_c_half_way_leaves_nothing(folder: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from sensorgraph.cli import main; main()"]
+    script = "from sensorgraph.cli import main, progress; progress.PLAIN_EVERY = 0.02; main()"
     options = ["diagnose", str(folder / "run.mcap"), "-o", str(tmp_path / "out")]
-    work = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    time.sleep(2.0)  # it is fitting by now: the whole command takes under 4 s
-    work.send_signal(signal.SIGINT)
-    out, err = work.communicate(timeout=30)
+    command = [sys.executable, "-c", script, *options]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as work:
+        assert work.stderr is not None
+        assert any(
+            line.startswith("aligning scans") for line in work.stderr
+        )  # it is fitting, however fast it is
+        work.send_signal(signal.SIGINT)
+        out, err = work.communicate(timeout=60)
     assert (work.returncode, out, err.splitlines()[-1]) == (130, "", "interrupted")
     assert not (tmp_path / "out").exists()
 
