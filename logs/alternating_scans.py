@@ -20,7 +20,7 @@ LATER = (2, 3)
 MIN_SCANS, MAX_SCANS = 20, 500
 """Numbers of scans that are compared; of fewer, nothing is usual."""
 MIN_RAYS = 10
-"""Fewer rays that return in both scans may differ by chance."""
+"""Fewer rays that return in both scans may differ, or be equal, by chance."""
 
 
 def alternating_text(ranges: Floats) -> str:

@@ -12,14 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from logs.no_return import CODE_SEARCH
-from logs.types import Floats
+from logs.types import ROUNDING, Floats
 
 SHORTEST_RANGE = 0.02
 """[m] SCIP 2.0: smaller values are error codes, in whole millimetres. No laser scanner measures so close."""
 LARGE_CODES = (8.189, 8.190, 8.191, 81.89, 81.90, 81.91)
 """[m] error codes of SICK LMS 2xx, with ranges in mm and in cm."""
-_MILLIMETRE_TOLERANCE = 1e-6
-"""[m] rounding of a whole millimetre in float32."""
 
 
 def blank_error_codes(parts: Sequence[Floats], range_min: float, range_max: float) -> list[str]:
@@ -38,7 +36,7 @@ def blank_error_codes(parts: Sequence[Floats], range_min: float, range_max: floa
     counts: dict[float, int] = {}
     for part in parts:
         step = np.rint(part * 1000) / 1000
-        small = (part > 0) & (part < limit) & (np.abs(part - step) < _MILLIMETRE_TOLERANCE)
+        small = (part > 0) & (part < limit) & (np.abs(part - step) < ROUNDING)
         _count(counts, step[small])
         part[small] = np.nan
     small_codes = sorted(counts)

@@ -15,7 +15,7 @@ import numpy as np
 
 from logs.sensor import PoseFrame, RangeSensor
 from logs.transforms import compose, difference, invert, wrap
-from logs.types import Floats, Ints
+from logs.types import ROUNDING, Floats, Ints
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -26,7 +26,7 @@ MIN_ODOMETRY = 2
 MIN_JUDGED = 8
 """Minimum number of reference poses for comparing odometry with interpolation; with fewer, odometry is used."""
 
-SAME_STAMP = 1e-6
+SAME_STAMP = ROUNDING
 """[s] closer stamps count as equal: their difference is rounding and defines no velocity."""
 
 

@@ -10,14 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from logs.alternating_scans import MIN_RAYS
 from logs.notes import with_note
 from logs.run import Run
 from logs.transforms import interpolate, wrap
 from logs.types import Bools, Floats, Ints
 from logs.usability import MIN_STEP
 
-MIN_RETURNS = 10
-"""Scans with fewer returns may be equal by chance."""
 MIN_UNKNOWN = 5
 """Number of equal scans in a row that is reported if nothing shows the motion."""
 
@@ -52,7 +51,7 @@ def equal_to_previous(ranges: Floats) -> Bools:
     if len(ranges) > 1:
         before, after = ranges[:-1], ranges[1:]
         same = (before == after) | (np.isnan(before) & np.isnan(after))
-        out[1:] = same.all(axis=1) & (np.isfinite(after).sum(axis=1) >= MIN_RETURNS)
+        out[1:] = same.all(axis=1) & (np.isfinite(after).sum(axis=1) >= MIN_RAYS)
     return out
 
 

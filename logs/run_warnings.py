@@ -11,6 +11,7 @@ from logs.range_limits import median_text
 from logs.run import Run
 from logs.sweep import sweep_warnings
 from logs.transforms import interpolate, wrap
+from logs.types import ROUNDING
 
 # thresholds above which a property is reported; conventions, not fitted to data
 MIN_GAP_PERIODS = 5.0
@@ -22,8 +23,6 @@ USUAL_PERIODS = (1e-3, 20.0)
 MIN_FROZEN = 0.5
 """[m, rad] motion of the odometry while the pose keeps exactly its place, or its heading, above which the reference has
 stopped."""
-MAX_STILL = 1e-6
-"""[m, rad] poses that span less are constant."""
 
 
 def warnings_of(run: Run) -> list[str]:
@@ -86,7 +85,7 @@ def _pose_warnings(run: Run) -> list[str]:
     if broken:
         out.append(f"{broken} poses are not finite")
     if len(stamps) > 1 and broken == 0:
-        if np.ptp(poses, axis=0).max() < MAX_STILL:
+        if np.ptp(poses, axis=0).max() < ROUNDING:
             out.append("the pose never changes; check that the robot moved and the reference was running")
         steps = np.diff(stamps)
         moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)

@@ -41,10 +41,10 @@ from logs.ros.recording import (
 )
 from logs.ros.stamps import StampCensus, can_be_read_in_pieces, starts_with_header
 from logs.run import Run
-from logs.types import Mounts, Progress, ReadOptions
+from logs.types import SCANS_AT_A_TIME, Mounts, Progress, ReadOptions
 
 # only memory and speed depend on these, not the data
-PIECE = 4096
+PIECE = SCANS_AT_A_TIME
 """Number of scans in a piece."""
 AHEAD = 64
 """Number of scans read beyond a piece, so that the poses after its last scan are available."""

@@ -12,6 +12,11 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 
+ROUNDING = 1e-6
+"""[m, rad, s] Smaller differences are rounding."""
+SCANS_AT_A_TIME = 4096
+"""Number of scans that are processed together; only memory depends on it."""
+
 Mounts = Mapping[str, Floats]
 """Topic or frame of a sensor -> (3,) [m, m, rad] mount in base_link."""
 

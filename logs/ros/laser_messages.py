@@ -16,7 +16,7 @@ from logs.ros import cdr
 from logs.ros.point_cloud import scans_of_clouds
 from logs.ros.ray_stream import full_turns
 from logs.ros.recording import CLOUD_TYPE, MULTI_ECHO_TYPE, SCAN_TYPE, Recording, ScanSource, Topic
-from logs.types import Floats
+from logs.types import SCANS_AT_A_TIME, Floats
 
 
 def as_laser_scans(
@@ -53,10 +53,6 @@ def as_laser_scans(
             topics[name], more = full_turns(topics[name])
             notes += more
     return replace(recording, topics=topics, notes=notes)
-
-
-BLOCK = 4096
-"""Number of messages that are decoded at once; only memory depends on it."""
 
 
 def first_echoes(topic: Topic) -> tuple[Topic, list[str]]:
@@ -112,7 +108,7 @@ def _words(blocks: list[cdr.MessageColumns]) -> tuple[list[NDArray[np.uint32]], 
 
 
 def _blocks(index: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    return [index[i : i + BLOCK] for i in range(0, len(index), BLOCK)]
+    return [index[i : i + SCANS_AT_A_TIME] for i in range(0, len(index), SCANS_AT_A_TIME)]
 
 
 def _decode(

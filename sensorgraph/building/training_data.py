@@ -16,7 +16,7 @@ from logs.sensor import median_step
 from logs.stream import LogStream
 from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.intake import check_jumps, check_ranges
+from sensorgraph.intake import STANDSTILL, check_jumps, check_ranges
 from sensorgraph.localization.robot_parts import robot_parts_at_poses, robot_parts_text, without_readings
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.reduction import SCANS_PER_BLOCK, Block
@@ -27,9 +27,6 @@ from sensorgraph.world.ray_order import ray_order, ray_order_line
 from sensorgraph.world.self_fit import self_fit
 
 logger = logging.getLogger(__name__)
-
-STANDSTILL = (1e-4, 1e-4, 1e-4)
-"""[m, m, rad] A robot whose poses vary by less stood still."""
 
 
 class TrainingData:
@@ -204,7 +201,7 @@ class _LogIntake:
     def entry(self) -> dict[str, Any]:
         """Return the log's entry in the graph; refuse a robot that stood still."""
         n = self.counts["trained"]
-        if n > 1 and (self.box[1] - self.box[0] < STANDSTILL).all():
+        if n > 1 and (self.box[1] - self.box[0]).max() < STANDSTILL:
             raise SensorgraphError(
                 f"{self.name}: the pose never changes over {n} scans; check that the robot moved and the reference was running. "
                 "Record while driving, or select the topic of the poses with `topics` pose=NAME"

@@ -9,10 +9,8 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert
+from logs.types import ROUNDING
 from sensorgraph.types import Floats
-
-MIN_MOTION = 1e-6
-"""[m, rad] Odometry with less motion in the whole run is a dummy."""
 
 
 def odometry_of(run: Run) -> Motion | None:
@@ -23,7 +21,7 @@ def odometry_of(run: Run) -> Motion | None:
     for stamps, poses in _sources(run):
         known = np.isfinite(poses).all(axis=1)
         stamps, poses = stamps[known], poses[known]
-        if len(stamps) > 1 and (np.ptp(poses, axis=0) > MIN_MOTION).any():
+        if len(stamps) > 1 and (np.ptp(poses, axis=0) > ROUNDING).any():
             return Motion(stamps=stamps, poses=np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
     return None
 

@@ -20,7 +20,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import Run
 from logs.transforms import compose, invert, wrap
-from logs.usability import MIN_STEP
+from logs.usability import MIN_DISTANCE, MIN_STEP
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.course import (
     MAX_RATIO,
@@ -43,8 +43,8 @@ EVERY = 4
 """Number of scans of a step, so that the noise of a match is small against its motion."""
 MIN_MATCHED = 0.9
 """Minimum share of matched scans."""
-MIN_TURN, MIN_DISTANCE = 0.7, 1.0
-"""[rad], [m] Minimum motion by the scans for a comparison of turns, and of distances."""
+MIN_TURN = 0.7
+"""[rad] Minimum turn by the scans for a comparison of turns; distances are compared from `MIN_DISTANCE` on."""
 TOLERANCE = 0.35
 """Maximum deviation from the factor of a unit, in the logarithm."""
 OPPOSITE = -0.6

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
+from logs.types import ROUNDING
 from planners.types import MAX_COORDINATE
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
@@ -115,8 +116,6 @@ def restored_fields(
     }
 
 
-ROUNDING = 1e-6
-"""Tolerance of a stored share above 1, and of the length of a normal."""
 _INTEGER_FIELDS: dict[str, type] = {"first": np.intp, "neighbour": np.intp}
 
 

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from planners.arena import Arena
 from planners.coverage import CELL, HEADINGS, Coverage
-from sensorgraph.evaluation.evaluate import Evaluation
+from sensorgraph.evaluation.evaluate import MAX_SCORED_RANGE, Evaluation
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.faces.observed_space import ObservedSpace
@@ -28,8 +28,6 @@ EXPECTED_ERROR_RAYS = 60
 """Approximate number of rays that are predicted in each heading; neighbouring rays are similar."""
 MIN_RAYS_THROUGH = 20
 """Number of rays through a cell above which it is free, if there is no map."""
-MAX_REACH = 10.0
-"""[m] Length over which a ray without a return is assumed to be free."""
 SATURATING_UNANSWERED = 0.5
 """Share of unanswered rays in a cell above which its colour is that of "not answered"."""
 SATURATING_WRONG = 0.1
@@ -220,9 +218,9 @@ def _error(evaluation: Evaluation, shown: Floats, grid: Coverage) -> Floats:
 
 
 def _ends(lasers: Floats, rays: Floats) -> Floats:
-    """Return the end points (m, n_rays, 2) [m, map]; a missing return ends at MAX_REACH, a broken one at the laser."""
+    """Return the end points (m, n_rays, 2) [m, map]; a missing return ends at MAX_SCORED_RANGE, a broken one at the laser."""
     bearing, ranges = rays[..., 0], rays[..., 1]
-    reach = np.minimum(ranges, MAX_REACH)[..., None]
+    reach = np.minimum(ranges, MAX_SCORED_RANGE)[..., None]
     ends = lasers[..., :2] + reach * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
     return np.asarray(np.where((ranges > 0)[..., None], ends, lasers[..., :2]))
 
