@@ -12,7 +12,7 @@ from scan_samples import data_of, drive
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.consequence import ScanError
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.materiality import is_map_error
+from sensorgraph.diagnosis.scan.materiality import is_map_error, material_chance
 from sensorgraph.diagnosis.scan.naming import why_immaterial
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
@@ -37,7 +37,7 @@ def test_what_hardly_stands_out_of_a_mapped_obstacle_is_none(
         EFFECTS["unmapped_obstacle"](x=2.6 + sticks_out - r, y=3.25, r=r),
         stderr={"x": 0.002, "y": 0.002, "r": 0.002},
     )
-    assert (why_immaterial(null, disc) is None) == is_named
+    assert (why_immaterial(null, disc, material_chance(null, disc)) is None) == is_named
 
 
 @pytest.mark.parametrize(("stated", "is_named"), [(0.0006, True), (0.003, False)])
@@ -48,7 +48,7 @@ def test_a_mount_that_is_stated_to_be_coarse_takes_more_for_a_name(
     data, _ = prepare_scans(drive(hall), hall, robot)
     turned = replace(EFFECTS["mount_yaw"](delta=0.005), stderr={"delta": 0.0003})
     null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
-    assert (why_immaterial(null, turned) is None) == is_named
+    assert (why_immaterial(null, turned, material_chance(null, turned)) is None) == is_named
 
 
 @pytest.mark.parametrize(("lost", "is_named"), [(0.0008, False), (0.02, True)])
@@ -61,7 +61,7 @@ def test_a_cut_off_that_takes_hardly_any_reading_has_no_name(
     data, _ = prepare_scans(cut, hall, parse_robot("sensor: {n_rays: 61}"))
     limit = EFFECTS["max_range"](R=farthest)
     got = fit(data, (limit,), start_state(data, NoiseBounds()), NoiseBounds())
-    assert (why_immaterial(got, limit) is None) == is_named
+    assert (why_immaterial(got, limit, material_chance(got, limit)) is None) == is_named
 
 
 @pytest.mark.parametrize(("moved", "error", "is_named"), [(0.066, 0.016, False), (0.066, 0.003, True)])

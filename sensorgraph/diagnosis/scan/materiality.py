@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, pdtr
 
 from sensorgraph.diagnosis.scan.fit import Fitted, log_p_at
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
@@ -20,8 +20,19 @@ SURELY_MATERIAL = "surely_material"
 
 
 def material_chance(fitted: Fitted, amendment: Amendment) -> float:
-    """Return the probability that the size of an effect matters."""
-    return float(material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment)))
+    """Return the probability that an effect of a fit matters: its size, or without one the share of the readings that it changes.
+
+        P(share > min_share) = P(X <= n),   X ~ Poisson(min_share N)
+
+    n of N readings are clearly better explained with the effect; their rate has a flat prior.
+    """
+    if amendment.effect.sizes or amendment.effect.diagnostics.is_lattice:
+        return material_probability(amendment, amendment.stderr, required_ratio(fitted, amendment))
+    data, settings = fitted.solver.data, SCAN.goodness_of_fit
+    rest = tuple(a for a in fitted.model if a != amendment)
+    better = log_p_at(data, fitted.model, fitted.state) - log_p_at(data, rest, fitted.state)
+    n_changed = int((better > settings.clearly_better).sum())
+    return float(pdtr(n_changed, settings.min_share * better.size))
 
 
 def material_probability(amendment: Amendment, stderr: Mapping[str, float], slack: float = 1.0) -> float:
@@ -42,17 +53,6 @@ def material_probability(amendment: Amendment, stderr: Mapping[str, float], slac
     along = sum((value * error) ** 2 for value, error in parts.values()) ** 0.5 / max(ratio, 1e-9)
     error = max(along, 1e-6)
     return float(ndtr((ratio - slack) / error))
-
-
-def changes_too_few(fitted: Fitted, amendment: Amendment) -> bool:
-    """Return whether an effect without a size explains too few readings, as with a cut-off next to the specified one."""
-    if amendment.effect.sizes or amendment.effect.diagnostics.is_lattice:
-        return False
-    data = fitted.solver.data
-    rest = tuple(a for a in fitted.model if a != amendment)
-    better = log_p_at(data, fitted.model, fitted.state) - log_p_at(data, rest, fitted.state)
-    settings = SCAN.goodness_of_fit
-    return float((better > settings.clearly_better).mean()) < settings.min_share
 
 
 def required_ratio(fitted: Fitted, amendment: Amendment) -> float:

@@ -22,7 +22,6 @@ from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.materiality import (
     SURELY_MATERIAL,
-    changes_too_few,
     is_map_error,
     material_chance,
     required_ratio,
@@ -79,15 +78,16 @@ def name_scan_effects(
     deviations : From the simulator without any effect.
     """
     final = explained.final
+    chances = tuple(material_chance(final, a) for a in final.model)
     complete = [
         replace(
             located(amendment, data),
             evidence=explained.gains[index],
-            probability=probability(explained, index, fit),
+            probability=chances[index] * probability(explained, index, fit),
         )
         for index, amendment in enumerate(final.model)
     ]
-    why = [why_immaterial(final, a) for a in final.model]
+    why = [why_immaterial(final, a, chance) for a, chance in zip(final.model, chances, strict=True)]
     small = {i: objection for i, objection in enumerate(why) if objection is not None}
     material = set(range(len(final.model))) - set(small)
     # the mean error of a drifting reference is a rival as well
@@ -121,7 +121,7 @@ def name_scan_effects(
         result=without_close_calls(result),
         complete=tuple(complete),
         small=small,
-        chances=tuple(material_chance(final, a) for a in final.model),
+        chances=chances,
         accepted=tuple(final.model[i] for i in accepted),
         rivals=tuple(explained.rivals[i][0] for i in order if i in explained.rivals),
     )
@@ -160,21 +160,21 @@ def located(amendment: Amendment, data: ScanData) -> Amendment:
     return amendment
 
 
-def why_immaterial(fitted: Fitted, amendment: Amendment) -> Objection | None:
-    """Return why an effect is not surely large enough to be named; None if it is."""
+def why_immaterial(fitted: Fitted, amendment: Amendment, chance: float) -> Objection | None:
+    """Return why an effect, which is material with a probability `chance`, is not named; None if it is large enough."""
     if is_within_baseline(fitted, amendment):
         return Objection("site_baseline", "it is within what the known-good runs of the site show")
     if is_map_error(fitted, amendment):
         return Objection("map_error", "it is within the errors of the map")
-    if changes_too_few(fitted, amendment):
-        return Objection("few_readings", "it changes too few readings")
-    chance, required = material_chance(fitted, amendment), SCAN.naming.min_material_probability
+    required = SCAN.naming.min_material_probability
     if chance >= required:
         return None
+    least = f"exceeds {required_ratio(fitted, amendment):.2g} times its materiality"
+    if not amendment.effect.sizes:
+        least = f"changes more than {100 * SCAN.goodness_of_fit.min_share:.2g} % of the readings"
     return Objection(
         SURELY_MATERIAL,
-        f"the probability that it exceeds {required_ratio(fitted, amendment):.2g} times its materiality is "
-        f"{100 * chance:.0f} %, and {100 * required:.0f} % is required",
+        f"the probability that it {least} is {100 * chance:.0f} %, and {100 * required:.0f} % is required",
     )
 
 
@@ -184,10 +184,10 @@ def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
         return True
     if explained.final.model[index].effect.diagnostics.is_lattice:
         return False
-    told, naming = fit.told, SCAN.naming
+    told, settings = fit.told, SCAN.goodness_of_fit
     if told is None:
         return False
-    share = SCAN.goodness_of_fit.failed_law_share if told.is_of_building else naming.max_unexplained_share
+    share = settings.failed_law_share if told.is_of_building else settings.min_share_of_gain
     return told.misfit > share * explained.gains[index]
 
 
@@ -202,13 +202,13 @@ def _why_doubted(fit: GoodnessOfFit) -> Objection:
 
 
 def probability(explained: Explained, index: int, fit: GoodnessOfFit) -> float:
-    """Return the probability that a name is right and its size material, calibrated on development cases."""
-    naming, fitted, gain = SCAN.naming, explained.final, explained.gains[index]
+    """Return the probability that a name is right, if its size is material."""
+    gain = explained.gains[index]
     margin = explained.rivals[index][1] if index in explained.rivals else gain
-    p = SURELY * float(expit(naming.probability_per_nat * min(gain, margin)))
+    p = SURELY * float(expit(min(gain, margin)))
     if fit.told is not None and not fit.told.is_of_building:
-        p *= naming.doubted_factor
-    return float(p * material_chance(fitted, fitted.model[index]))
+        p /= 2  # what is unexplained may be the cause as well
+    return p
 
 
 def _unknown(told: Doubt | None) -> Unknown | None:
