@@ -12,9 +12,8 @@ from sensorgraph.diagnosis.scan.likelihood import (
     EDGE_BETWEEN,
     EDGE_NEAR,
     EDGE_WIDTH,
-    LATTICE_SLACK,
-    MIN_EDGE_STEP,
     MIN_SHORT_RANGE,
+    ROUND_OFF,
     SQRT_TAU,
     ExpectedReadings,
     Responsibilities,
@@ -51,7 +50,7 @@ def plain_e_step(
     own = rest * p_back * (1 - expected.p_alternative)
     if expected.lattice > 0:
         steps = np.where(returned, z, 0.0) / expected.lattice
-        off = np.abs(steps - np.round(steps)) * expected.lattice > LATTICE_SLACK * cell + 1e-9
+        off = np.abs(steps - np.round(steps)) * expected.lattice > cell / 2 + ROUND_OFF
         own = np.where(off & both, 0.0, own)
     p_core = own * (1 - noise.tail) * core * both
     p_tail = own * noise.tail * tail * both
@@ -65,7 +64,7 @@ def plain_e_step(
         high = np.maximum(expected.alternative, mu)
         with np.errstate(invalid="ignore"):
             between = there & (z > low) & (z < high)
-            flat = np.where(between, 1 / np.maximum(high - low, MIN_EDGE_STEP), 0.0)
+            flat = np.where(between, 1 / np.maximum(high - low, sigma), 0.0)
         p = p + rest * p_back * expected.p_alternative * (EDGE_NEAR * near + EDGE_BETWEEN * flat) * there
     if expected.short > 0:
         top = np.minimum(np.where(aimed, mu, sensor.range_max), sensor.range_max)

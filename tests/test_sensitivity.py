@@ -61,7 +61,7 @@ def test_a_number_is_varied_where_it_was_imported_and_where_others_follow_from_i
 
 def test_constants_are_varied_where_they_are_compiled() -> None:
     found = {one.label: one for one in numbers_of("sensorgraph.diagnosis.scan")}
-    assert {"diagnosis.scan.depth_edges.MAX_CORNERS", "diagnosis.scan.likelihood.CUT"} < set(found)
+    assert {"diagnosis.scan.depth_edges.MAX_CORNERS", "diagnosis.scan.likelihood.EDGE_WIDTH"} < set(found)
     assert not any("CHI2" in label for label in found)
 
     def densities() -> list[Said]:

@@ -43,7 +43,7 @@ LOOK_PAST = 3.0
 entering unknown space."""
 CELL = 0.2
 """[m] cell size of the raster in which changes are grouped; no new object is detected within a cell from mapped walls."""
-MIN_OFF = 0.3
+MIN_OFF = 2 * SCAN.alignment.wall_distance
 """[m] minimum difference of a reading that shows a change of the building."""
 MAX_CHANGED = 1 / 3
 """Share of the readings, above which the cause is not a change of the building."""

@@ -63,7 +63,6 @@ class SiteBaseline:
                 "tail": bounds.tail,
                 "loss": bounds.loss,
                 "stray": bounds.stray,
-                "pose": bounds.min_pose_scale,
                 "most": bounds.max_scale,
             },
             "known": {a.name: dict(a.parameters) for a in self.known},

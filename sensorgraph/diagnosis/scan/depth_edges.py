@@ -80,7 +80,7 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
         SETTINGS.min_edge_chance,
         SETTINGS.min_edge_step * sensor.sigma,
         float(sensor.range_max),
-        SCAN.nuisance.max_steep_sigma,
+        data.max_scatter,
     )
     for ray, other, away in ((right, left, edge), (left, right, gap - edge)):
         add_rays_behind(

@@ -107,7 +107,6 @@ def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
     """Return nuisances at zero, and the poses at which the casts are made."""
     corners = corners_of(data)
     state = State(g=np.zeros(len(Nuisance) + 2 * corners.count), delta=data.pose_start)
-    state.pose_scale = noise_bounds.min_pose_scale
     state.noise = state.noise.within(noise_bounds)
     return state
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dtrtri
+from scipy.special import chdtri, ndtr
 
 from sensorgraph.diagnosis.scan.corner_sums import Corners, corner_sums
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
@@ -44,6 +45,8 @@ from sensorgraph.types import Bools, Floats, Ints
 
 CHI2_MEDIAN_1, CHI2_MEDIAN_3 = 0.455, 2.366
 """Medians of the chi-squared distribution with one and with three degrees of freedom."""
+MAX_POSE_ERROR = float(np.sqrt(chdtri(3, 2 * ndtr(-SCAN.nuisance.max_tolerances))))
+"""Maximum Mahalanobis length of the pose error of a scan: exceeded with the same probability as the bound of a nuisance."""
 
 
 @dataclass(eq=False)
@@ -311,8 +314,7 @@ def iterate(
         state.g, p = optimum.x[:n], optimum.x[n:]
         delta = system.poses_at(optimum.x)
         length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
-        most = SCAN.nuisance.max_pose_error
-        state.delta = delta * np.minimum(1.0, most / np.maximum(length, 1e-9))[:, None]
+        state.delta = delta * np.minimum(1.0, MAX_POSE_ERROR / np.maximum(length, 1e-9))[:, None]
         state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
         state.pose_scale, state.map_scale = _scales(solver, system, lower, state, noise_bounds)
         box = solver.box(state)  # the bounds may have shrunk since g was solved for
@@ -360,17 +362,18 @@ def _scales(
     free = np.flatnonzero(~solver.locked)
     corners = free[free >= len(Nuisance)]
     scale = state.map_scale
-    if len(corners) >= SCAN.fit.min_known_corners:
+    if len(corners) >= SCAN.goodness_of_fit.min_blocks:
         tau = solver.scaled(state)
         rows, _ = dtrtri(lower, lower=1)  # (M + 1/tau²)^-1 = rows' rows
         variances = (rows**2).sum(axis=0)[-len(corners) :]
         left = variances / tau[corners] ** 2  # remaining share of the prior variance
         seen = left < SCAN.fit.max_prior_share
-        if seen.sum() >= SCAN.fit.min_known_corners:
+        if seen.sum() >= SCAN.goodness_of_fit.min_blocks:
             ratio = (state.g[corners] / tau[corners])[seen] ** 2 / (1 - left[seen])
             scale = state.map_scale * float(np.sqrt(np.median(ratio) / CHI2_MEDIAN_1))
-    low, most = noise_bounds.min_pose_scale, noise_bounds.max_scale
-    return float(np.clip(pose, low, max(most, low))), float(np.clip(scale, 1.0, most))
+    return float(np.clip(pose, 1.0, noise_bounds.max_scale)), float(
+        np.clip(scale, 1.0, noise_bounds.max_scale)
+    )
 
 
 def _covariance(system: System, solver: Solver, state: State) -> Floats:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planners.kernel import inlined_kernel, kernel
-from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE, Edges
+from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE, REACH, Edges
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -38,14 +38,12 @@ EDGE_WIDTH = 2.0
 """Ratio of the standard deviation at the far side of an edge to that of the core."""
 EDGE_NEAR, EDGE_BETWEEN = 0.9, 0.1
 """Shares of the readings at an edge: at its far side, and anywhere between the two sides."""
-MIN_EDGE_STEP = 0.01
-"""[m] minimum distance between the two sides of an edge."""
-LATTICE_SLACK = 0.51
-"""Maximum distance of a reading from its lattice, in resolutions."""
-CUT = 2.5
-"""Standard deviations from a limit of the sensor, within which a residual has weight 0.
+CUT = REACH
+"""Standard deviations from a limit of the sensor, within which a residual has weight 0: as far as from an edge in depth.
 
 Near a limit only the readings on one side of it return, so their mean is biased."""
+ROUND_OFF = 1e-6
+"""[m] Rounding error of a reading that a log stores in single precision, at 16 m."""
 
 LOG_P, WEIGHT, RESIDUAL, CORE, TAIL, LOST, STRAY = range(7)
 
@@ -211,7 +209,7 @@ def _densities(
     """Return the densities [1/m] of core and tail at a reading with the residual e; 0 for a reading off the lattice."""
     if lattice > 0:
         steps, half, t = reading / lattice, lattice / 2, tail_width * s
-        if abs(steps - math.floor(steps + 0.5)) * lattice > LATTICE_SLACK * cell + 1e-9:
+        if abs(steps - math.floor(steps + 0.5)) * lattice > cell / 2 + ROUND_OFF:
             return 0.0, 0.0
         core = (_normal_cdf((e + half) / s) - _normal_cdf((e - half) / s)) / cell
         return core, (_normal_cdf((e + half) / t) - _normal_cdf((e - half) / t)) / cell
@@ -222,12 +220,12 @@ def _densities(
 
 
 @inlined_kernel
-def _density_at_edge(reading: float, expected: float, there: float, s_there: float) -> float:
+def _density_at_edge(reading: float, expected: float, there: float, s: float, s_there: float) -> float:
     """Return the density [1/m] of a reading at the far side of an edge, or anywhere between its two sides."""
     u = (reading - there) / s_there
     near = math.exp(-0.5 * u * u) / (SQRT_TAU * s_there)
     low, high = min(there, expected), max(there, expected)
-    flat = 1 / max(high - low, MIN_EDGE_STEP) if low < reading < high else 0.0
+    flat = 1 / max(high - low, s) if low < reading < high else 0.0
     return EDGE_NEAR * near + EDGE_BETWEEN * flat
 
 
@@ -287,7 +285,7 @@ def mixture(
                 p_core, p_tail = own * (1 - share) * core, own * share * tail
                 p = p_core + p_tail
             if has_far_side:
-                p += back * at_edge * _density_at_edge(reading, expected, there, s_there)
+                p += back * at_edge * _density_at_edge(reading, expected, there, s, s_there)
             top = min(expected, farthest) if aimed else farthest
             if short > 0 and reading < top:
                 p += (1 - stray) * short / max(top, MIN_SHORT_RANGE)

@@ -112,7 +112,7 @@ class Alignment:
 def align(data: ScanData, rng: np.random.Generator) -> Alignment:
     """Compare the end points of the measured rays with the walls; if few match, search for a better placement."""
     points = _ends(data, rng)
-    if len(points) < SETTINGS.min_points:
+    if len(points) < SCAN.intake.min_scans:
         return Alignment(share=1.0, best_share=1.0)
     raster = _Raster(data.arena.walls)
     is_coarse = raster.cell > SETTINGS.coarse_cell  # for example a map in millimetres
@@ -241,10 +241,10 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
     seen = np.ptp(np.quantile(points, [0.02, 0.98], axis=0), axis=0)
     walls = data.arena.walls
     widest = float((np.ptp(walls.reshape(-1, 2), axis=0) / np.maximum(seen, SETTINGS.cell)).min())
-    low, high = (factor * widest for factor in SETTINGS.far_range)
+    least, high = (factor * widest for factor in SETTINGS.far_range)
+    low = SETTINGS.scale_range[0] * widest
     n = max(int(np.log(high / low) / np.log(SCALE_STEP)) + 1, 2)
-    least, most = (factor * widest for factor in SETTINGS.unit_range)
-    tried = [*np.geomspace(low, high, n), *(scale for scale in UNIT_SCALES if least < scale < most)]
+    tried = [*np.geomspace(low, high, n), *(scale for scale in UNIT_SCALES if least < scale < high)]
     found = []
     for scale in tried:
         if not SETTINGS.scale_range[0] < scale < SETTINGS.scale_range[1]:

@@ -347,5 +347,7 @@ def _near_ends(data: ScanData, fitted: Fitted) -> Bools:
     blur = (t.pose_xy + t.pose_yaw * bare.ranges) / np.maximum(bare.cosine, 0.1) + t.map
     with np.errstate(invalid="ignore"):
         along = bare.along(scene.walls)
-        near = np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < SCAN.selection.end_blur * blur
+        near = (
+            np.minimum(np.abs(along - a["a"]), np.abs(along - a["b"])) < SCAN.nuisance.max_tolerances * blur
+        )
     return np.asarray(on & near)

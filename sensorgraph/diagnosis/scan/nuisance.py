@@ -21,23 +21,29 @@ from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.sweep_wobble import wobble_of_readings
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.range_bias import RANGE_BIAS
+from sensorgraph.effects.range_drift import RANGE_DRIFT
+from sensorgraph.effects.range_scale import RANGE_SCALE
 from sensorgraph.types import Bools, Floats, Ints
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.nuisance
+HIDDEN_SIZES = RANGE_BIAS.sizes["b"], RANGE_SCALE.sizes["s"], RANGE_DRIFT.sizes["b1"]
+"""[m, 1, m] Materiality of the effects of the laser that a careful setup may hide in part."""
 
 
 def prior_widths(tolerances: Tolerances) -> Floats:
     """Return the prior standard deviation of each Nuisance, (8,) [m, m, rad, m, 1, m, s, s]."""
+    bias, scale, drift = (SETTINGS.hidden_share * size for size in HIDDEN_SIZES)
     return np.array(
         [
             tolerances.mount_xy,
             tolerances.mount_xy,
             tolerances.mount_yaw,
-            SETTINGS.bias,
-            SETTINGS.scale,
-            SETTINGS.drift,
+            bias,
+            scale,
+            drift,
             SETTINGS.steady_stamp_share * tolerances.stamp,
             SETTINGS.skew_stamp_share * tolerances.stamp,
         ]
@@ -132,7 +138,7 @@ def linearise(
     share = _share(beams, walls, wall)
     ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])
     steep = np.where(straight & ~valid, _grazing_sigma(beams, cosine), 0.0)
-    steep = np.minimum(np.where(slack > 0, slack, steep), SETTINGS.max_steep_sigma)
+    steep = np.minimum(np.where(slack > 0, slack, steep), data.max_scatter)
     beside = wobble_of_readings(data.wobble, pose), _by_corners_that_stay(data, wall, ends)
     return Jacobian(
         pose=pose,
@@ -200,7 +206,7 @@ def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:
         return np.zeros(wall.shape)
     stays = data.corners.ends == data.corners.rest
     off = np.hypot(*(ends[k] * stays[:, k][wall] for k in (0, 1)))
-    return np.asarray(np.minimum(data.tolerances.map * off, SETTINGS.max_steep_sigma))
+    return np.asarray(data.tolerances.map * off)
 
 
 def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:
@@ -279,6 +285,9 @@ def bent_columns(
     quotients = np.zeros((data.n_scans, 3, data.n_rays))
     smooth = which.copy()
     steepness = np.zeros(which.shape)
+    steepest = (
+        np.array([1.0, 1.0, data.sensor.range_max]) / SETTINGS.min_cosine
+    )  # of a ray that is no grazing one
     for axis, step in enumerate(SCAN.fit.pose_steps):
         scene = few.scene()
         scene.casts, scene.wanted = None, which[rows]
@@ -286,9 +295,9 @@ def bent_columns(
         moved = scene.run((*data.known, *model)).reading
         with np.errstate(invalid="ignore"):
             q = (moved - beams.reading[rows]) / step
-        ok = np.isfinite(q) & (np.abs(q) < SCAN.fit.max_pose_slope)
+        ok = np.isfinite(q) & (np.abs(q) < steepest[axis])
         if axis == 2:
-            steepness[rows] = np.where(np.isfinite(q), np.abs(q), SCAN.fit.max_pose_slope)
+            steepness[rows] = np.where(np.isfinite(q), np.abs(q), steepest[axis])
         smooth[rows] &= ok
         quotients[rows, axis] = np.where(ok, q, 0.0)
     return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)

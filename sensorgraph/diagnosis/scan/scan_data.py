@@ -106,6 +106,11 @@ class ScanData:
         """(n_scans, n_rays) Whether the ray returned."""
         return np.isfinite(self.ranges)
 
+    @property
+    def max_scatter(self) -> float:
+        """[m] Maximum additional standard deviation of a reading: that of one which is uniform over the range."""
+        return float(self.sensor.range_max / np.sqrt(12))
+
     @cached_property
     def speed(self) -> Floats:
         """(n_scans,) [m/s] Speed along the x axis of the robot."""

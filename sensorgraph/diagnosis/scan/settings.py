@@ -34,8 +34,6 @@ class NoiseBounds:
     """Probability that an expected return is missing."""
     stray: tuple[float, float] = (1e-4, 0.002)
     """Share of outliers, which are uniform over the range."""
-    min_pose_scale: float = 1.0
-    """Minimum scale of the tolerances of the reference poses."""
     max_scale: float = 3.5
     """Maximum scale of the tolerances of poses and map, if the data contradict the specified ones."""
 
@@ -101,8 +99,6 @@ class AlignmentSettings:
     must be shrunk."""
     n_points: int = 3000
     """Number of ray ends that are compared with the walls."""
-    min_points: int = 100
-    """Number of ray ends below which the alignment is not tested."""
     n_turns: int = 90
     """Number of headings that are tried."""
     n_refined: int = 12
@@ -111,11 +107,9 @@ class AlignmentSettings:
     """Range of map scales that are tried."""
     n_scales: int = 47
     """Number of these scales, 3 % apart."""
-    far_range: tuple[float, float] = (0.5, 1.2)
+    far_range: tuple[float, float] = (1 / 30, 1.2)
     """Scales outside `scale_range` that are tried, relative to the scale at which the map is as wide as the
-    observed area."""
-    unit_range: tuple[float, float] = (1 / 30, 1.2)
-    """The same for scales of another unit of length, for a run that observed a small part of the map."""
+    observed area. Below the first of `scale_range`, only units of length are tried, for a run that observed a small part of the map."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,12 +118,8 @@ class NuisanceSettings:
 
     max_tolerances: float = 2.5
     """Bound of a nuisance parameter, in tolerances; a larger error must be an effect."""
-    bias: float = 0.0012
-    """[m] Standard deviation of a hidden range bias."""
-    scale: float = 0.0005
-    """Standard deviation of a hidden range scale."""
-    drift: float = 0.0015
-    """[m] Standard deviation of a hidden drift over the run."""
+    hidden_share: float = 0.25
+    """Standard deviation of a hidden bias, scale or drift of the ranges, relative to the materiality of the effect."""
     steady_stamp_share: float = 0.43
     """Share of the stamp tolerance that is constant during a run (latency)."""
     skew_stamp_share: float = 0.7
@@ -139,13 +129,9 @@ class NuisanceSettings:
     grazing_sigma: tuple[float, float] = (0.004, 0.003)
     """[m], and share of the range: additional standard deviation of a grazing ray, divided by the cosine of
     its incidence."""
-    max_steep_sigma: float = 1.0
-    """[m] Maximum additional standard deviation of a reading: of a grazing ray, or of one that a surface has deflected."""
     max_corners: int = 200
     """Number of corners of a map above which none of them may shift; in an occupancy-grid map, those that most rays meet. Errors
     of the others count as noise, because a building has thousands of corners, and time grows with the square of their number."""
-    max_pose_error: float = 3.5
-    """Maximum Mahalanobis length of the estimated pose error of a scan."""
     stretched_scale: float = 1.3
     """Scale of the tolerances above which they count as widened."""
 
@@ -188,10 +174,6 @@ class FitSettings:
     """Relative step at which the search for a share or a width ends."""
     pose_steps: tuple[float, float, float] = (5e-4, 5e-4, 3e-4)
     """[m, m, rad] Steps of the difference quotients by the pose."""
-    max_pose_slope: float = 60.0
-    """[1, 1, m/rad] Difference quotient by the pose above which a reading has jumped to another surface."""
-    min_known_corners: int = 6
-    """Minimum number of corners that the data determine, for a scale of the map tolerance."""
     max_prior_share: float = 0.6
     """Remaining share of a corner's prior variance below which the data determine it."""
 
@@ -221,8 +203,6 @@ class SelectionSettings:
     same_gain: float = 0.8
     """Minimum ratio of the smaller to the larger of a candidate's expected gains, in the bare model and now.
     Above it, the gain is unchanged, and the candidate is not a remainder of other effects."""
-    end_blur: float = 2.0
-    """Standard deviations of a ray's position on its wall, within which the ray may miss the end of a part."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,9 +211,6 @@ class SweepSettings:
 
     n_scans: int = 40
     """Number of scans on which values are cast, and effects for their consequence."""
-    max_core: float = 1.1
-    """Scale of the noise above which nominal noise is used, because the estimate may have absorbed the
-    effect."""
     max_candidates: int = 2
     """Maximum number of groups that are proposed."""
 
@@ -250,8 +227,8 @@ class GoodnessOfFitSettings:
     """Minimum number of rays in a bin, and of scans for an estimate of the dispersion. Half as many scored rays are needed in each of
     these scans, and readings that an absorbing effect, or the absence of an object, explains."""
     min_blocks: int = 5
-    """Minimum number of blocks in a bin, of scans away from their poses, and of scans that show a change of a map; fewer are
-    single faults."""
+    """Minimum number of blocks in a bin, of scans away from their poses, of scans that show a change of a map, and of corners that
+    determine the scale of its tolerance; fewer are single faults."""
     max_listed: int = 24
     """Maximum number of deviations that are listed before effects are named."""
     min_z: float = 4.5
@@ -273,11 +250,10 @@ class GoodnessOfFitSettings:
     """Minimum ratio of their gain to that of a replicate. The reference error within a sweep is known to a
     third of its size, and gains grow with its square."""
     min_share_of_gain: float = 0.003
-    """Share of the model's gain below which a misfit is attributed to a correct but coarse model."""
+    """Share of the model's gain below which a misfit is attributed to a correct but coarse model; also the maximum unexplained
+    misfit of a named effect, relative to its evidence."""
     max_dispersion: float = 1.45
     """Maximum ratio of the variance between scans to the variance within; correct models have 0.85 to 1.15."""
-    min_absence_gain: float = 100.0
-    """[nats] Minimum gain if an object is absent for one stretch of the run."""
     max_tolerance_scale: float = 3.2
     """Multiple of the nominal tolerances above which the setup differs from its description."""
     max_tolerance_scale_beside_effects: float = 2.0
@@ -352,12 +328,6 @@ class NamingSettings:
     min_wall_pixels: float = 20.0
     """Minimum length of a wall that is tested for a move, in cells of the map; a shorter one moves with its
     neighbours."""
-    max_unexplained_share: float = 0.006
-    """Maximum unexplained misfit of a named effect, relative to its evidence."""
-    probability_per_nat: float = 0.15
-    """Slope of the log-odds of a name with its evidence, or with its lead over a rival [1/nat]."""
-    doubted_factor: float = 0.5
-    """Factor on the probability if a residual stays unexplained."""
     rival_margin: float = 3.0
     """[nats] Evidence difference between an effect and its rival below which neither is named."""
 

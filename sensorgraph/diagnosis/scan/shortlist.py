@@ -13,10 +13,10 @@ ends with a round that fits every candidate.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from sensorgraph.diagnosis.scan.fit import Fitted, log_likelihood, start_state, thin, thin_state
+from sensorgraph.diagnosis.scan.fit import Fitted, log_likelihood, start_state, thin
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
@@ -149,7 +149,7 @@ def _of_one_sensor(effects: list[Effect], residuals: FitResiduals) -> list[Candi
 def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     """Return the best value of each group of values that effects request to be cast; of all groups, the best few.
 
-    Values are cast on a part of the scans, with frozen nuisances. A group ends at a value whose gain is
+    Values are cast on a part of the scans, with nominal nuisances. A group ends at a value whose gain is
     negative and below that of the previous value.
     """
     groups = [
@@ -160,34 +160,32 @@ def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
     ]
     if not groups:
         return []
-    data, fitted = residuals.data, residuals.fitted
-    settings = SCAN.sweep
-    every = max(1, data.n_scans // settings.n_scans)
+    model = residuals.fitted.model  # the gains depend on nothing else
+    key = b"swept|" + repr([(a.key, *a.parameters.items()) for a in model]).encode()
+    return residuals.data.kept(key, lambda: _best_casts(residuals.data, model, groups))
+
+
+def _best_casts(
+    data: ScanData,
+    model: tuple[Amendment, ...],
+    groups: Sequence[tuple[Effect, Sequence[Mapping[str, float]]]],
+) -> list[Candidate]:
+    """Return the best value of each group of values of an effect, cast beside a model; of all groups, the best few."""
+    every = max(1, data.n_scans // SCAN.sweep.n_scans)
     few = thin(data, every)
-    state, nominal = thin_state(fitted.state, every), start_state(few, SCAN.noise)
-    if state.noise.core > settings.max_core:
-        state = nominal
-    # at nominal nuisances the result depends on the model only, and a strained fit needs it twice
-    key = b"swept|" + repr([(a.key, *a.parameters.items()) for a in fitted.model]).encode()
-    if state is nominal and key in data.memo:
-        kept = data.memo[key]
-        assert isinstance(kept, list)
-        return kept
-    base = log_likelihood(few, fitted.model, state)
+    state = start_state(few, SCAN.noise)  # fitted nuisances may have absorbed the effect
+    base = log_likelihood(few, model, state)
     found = []
     for effect, group in groups:
         tried = []
         for values in group:
             amendment = effect(**values)
-            gain = (log_likelihood(few, (*fitted.model, amendment), state) - base) * every
+            gain = (log_likelihood(few, (*model, amendment), state) - base) * every
             tried.append(Candidate(amendment=amendment, gain=gain))
             if len(tried) > 1 and gain < min(tried[-2].gain, 0.0):
                 break
         found.append(max(tried, key=lambda c: c.gain))
-    best = sorted(found, key=lambda c: -c.gain)[: settings.max_candidates]
-    if state is nominal:
-        data.memo[key] = best
-    return best
+    return sorted(found, key=lambda c: -c.gain)[: SCAN.sweep.max_candidates]
 
 
 def name_at_place(amendment: Amendment) -> str:

@@ -236,7 +236,7 @@ def set_up_of(data: ScanData) -> SetUp:
         median_range=float(np.median(data.ranges[data.returned])) if data.returned.any() else 1.0,
         ray_spacing=spacing(data),
         wall_length=float(np.median(np.hypot(*walls.T))) if len(walls) else np.inf,
-        range_bias=SCAN.nuisance.bias,
+        range_bias=float(prior_widths(data.tolerances)[Nuisance.BIAS]),
         strays=float(np.ptp(SCAN.noise.stray)) / float(np.sqrt(12)),
     )
 

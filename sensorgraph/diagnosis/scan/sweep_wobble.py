@@ -78,5 +78,4 @@ def wobble_of_readings(wobble: tuple[float, float], pose: Floats) -> Floats:
     if not any(wobble):
         return np.zeros(pose[:, 0].shape)
     xy, yaw = wobble
-    spread = np.hypot(xy * np.hypot(pose[:, 0], pose[:, 1]), yaw * pose[:, 2])
-    return np.minimum(spread, SCAN.nuisance.max_steep_sigma)
+    return np.asarray(np.hypot(xy * np.hypot(pose[:, 0], pose[:, 1]), yaw * pose[:, 2]))

@@ -204,13 +204,9 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     """
     columns, state = one.columns, fitted.state.copy()
     k, solver = columns.shape[1], fitted.solver.with_columns(columns)
-    bounds = replace(
-        SCAN.noise,
-        min_pose_scale=min(1.0, state.pose_scale),
-        max_scale=max(1.0, state.pose_scale, state.map_scale),
-    )
+    bounds = replace(SCAN.noise, max_scale=state.stretch)
     state.delta = solver.data.pose_start
-    state.pose_scale, state.map_scale = bounds.min_pose_scale, 1.0
+    state.pose_scale = state.map_scale = 1.0
     start = np.concatenate([fitted.solution.p, np.zeros(k)])
     solution = iterate(solver, state, start, bounds, rounds=ROUNDS)
     weight, scale = solution.responsibilities.weight, solution.state.pose_scale

@@ -77,6 +77,9 @@ def find_temporary(checked: Checked) -> list[Doubt]:
     """Return a fixed object that is absent for one part of the run: a door, for example, instead of a pane."""
     view, settings = checked.view, SCAN.goodness_of_fit
     data, fitted = view.data, view.fitted
+    least = (
+        SCAN.selection.threshold + 2 * SCAN.selection.price
+    )  # for the time at which it leaves, and at which it returns
     out = []
     for index, a in enumerate(fitted.model):
         if a.effect.place not in ("wall", "obstacle", "spot"):
@@ -87,7 +90,7 @@ def find_temporary(checked: Checked) -> list[Doubt]:
         better = np.where(off_edge, bare - view.log_p, 0.0)
         first, last, gain = best_run(better.sum(axis=1)[None])
         n_better = int((better[first[0] : last[0] + 1] > settings.clearly_better).sum())
-        if gain[0] > settings.min_absence_gain and n_better > settings.min_rays / 2:
+        if gain[0] > least and n_better > settings.min_rays / 2:
             begin, end = data.stamps[first[0]], data.stamps[last[0]]
             out.append(
                 Doubt(
@@ -96,7 +99,7 @@ def find_temporary(checked: Checked) -> list[Doubt]:
                     f"{begin - data.begin:.0f} s to {end - data.begin:.0f} s of the run",
                     misfit=float(gain[0]),
                     statistic=float(gain[0]),
-                    threshold=settings.min_absence_gain,
+                    threshold=least,
                     failed=frozenset([index]),
                     size=ScanError(wrong=n_better / view.log_p.size),
                     causes=CAUSES[: 2 if a.effect.on_part_of_wall else 1],
