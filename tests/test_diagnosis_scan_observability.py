@@ -9,8 +9,9 @@ import pytest
 
 from planners.types import Floats
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.intake import velocities
 from sensorgraph.diagnosis.scan.observability import not_observable
-from sensorgraph.diagnosis.scan.scan_data import ScanData, velocities
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import default_robot

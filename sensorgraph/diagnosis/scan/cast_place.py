@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.gauss_newton import State
+from sensorgraph.diagnosis.scan.nuisance import State
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment

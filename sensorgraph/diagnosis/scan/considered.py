@@ -38,7 +38,7 @@ def effect_entries(
     small : Index in the model -> why the effect is within tolerance.
     chances : Probability that each effect is material.
     """
-    few = thin(data, max(1, data.n_scans // SCAN.sweep.n_scans))
+    few = thin(data, max(1, data.n_scans // SCAN.selection.n_cast_scans))
     model = explained.final.model
     whole = cast(few, model)
     out = []

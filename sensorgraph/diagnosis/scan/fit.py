@@ -19,16 +19,15 @@ from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
 from sensorgraph.diagnosis.scan.gauss_newton import (
     Solution,
     Solver,
-    State,
-    fitted_noise,
     iterate,
 )
 from sensorgraph.diagnosis.scan.likelihood import (
     ExpectedReadings,
     e_step,
     expected_readings,
+    fitted_noise,
 )
-from sensorgraph.diagnosis.scan.nuisance import Jacobian, bent_columns, corners_of, linearise
+from sensorgraph.diagnosis.scan.nuisance import Jacobian, State, bent_columns, corners_of, linearise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment
@@ -251,7 +250,7 @@ def log_p_at(
     if noise_bounds is not None:
         noise_bounds = strays_taken(model, noise_bounds)
         for _ in range(SCAN.fit.rounds):
-            noise = fitted_noise(solver, responsibilities, noise, noise_bounds)
+            noise = fitted_noise(data, at.expected, responsibilities, noise, noise_bounds)
             responsibilities = e_step(data, at.expected, shift, noise)
     return responsibilities.log_p
 

@@ -16,7 +16,7 @@ M is the block of the nuisances in the normal matrix, after elimination of the p
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -24,7 +24,7 @@ from scipy.linalg.lapack import dtrtri
 from scipy.special import chdtri, ndtr
 
 from sensorgraph.diagnosis.scan.corner_sums import Corners, corner_sums
-from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step
+from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step, fitted_noise
 from sensorgraph.diagnosis.scan.normal_equations import (
     BoundedOptimum,
     System,
@@ -33,8 +33,8 @@ from sensorgraph.diagnosis.scan.normal_equations import (
     without_poses,
 )
 from sensorgraph.diagnosis.scan.nuisance import (
-    BeamNoise,
     Jacobian,
+    State,
     pose_prior,
     prior_widths,
 )
@@ -47,41 +47,6 @@ CHI2_MEDIAN_1, CHI2_MEDIAN_3 = 0.455, 2.366
 """Medians of the chi-squared distribution with one and with three degrees of freedom."""
 MAX_POSE_ERROR = float(np.sqrt(chdtri(3, 2 * ndtr(-SCAN.nuisance.max_tolerances))))
 """Maximum Mahalanobis length of the pose error of a scan: exceeded with the same probability as the bound of a nuisance."""
-
-
-@dataclass(eq=False)
-class State:
-    """Values of the nuisances."""
-
-    g: Floats
-    """(8 + 2 n_corners,) one value for each Nuisance, then x and y of each corner."""
-    delta: Floats
-    """(n_scans, 3) [m, m, rad] pose errors."""
-    noise: BeamNoise = field(default_factory=BeamNoise)
-    pose_scale: float = 1.0
-    """Factor by which the tolerances of the reference pose are too tight."""
-    map_scale: float = 1.0
-    """Factor by which the tolerance of the map is too tight."""
-    laid: Floats | None = None
-    """(2 n_corners,) [m] shifts of the corners of an occupancy-grid map in the cast of this state."""
-    posed: Floats | None = None
-    """(n_scans, 3) [m, m, rad] pose errors in that cast, where the tolerances of the reference pose are wide."""
-    effects: Floats = field(default_factory=lambda: np.zeros(4))
-    """(4,) [m, m, rad, s] mount and delay according to the effects in the model (`nuisance.POSE_LIKE`)."""
-
-    @property
-    def corners(self) -> Floats:
-        """(2 n_corners,) [m] shifts of the corners."""
-        return self.g[len(Nuisance) :]
-
-    @property
-    def stretch(self) -> float:
-        """Larger of the factors by which the tolerances of reference pose and map are too tight."""
-        return max(self.pose_scale, self.map_scale)
-
-    def copy(self) -> State:
-        """Return a copy that can be modified."""
-        return replace(self, g=self.g.copy(), delta=self.delta.copy(), noise=replace(self.noise))
 
 
 class Solver:
@@ -315,33 +280,12 @@ def iterate(
         delta = system.poses_at(optimum.x)
         length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
         state.delta = delta * np.minimum(1.0, MAX_POSE_ERROR / np.maximum(length, 1e-9))[:, None]
-        state.noise = fitted_noise(solver, responsibilities, state.noise, noise_bounds)
+        state.noise = fitted_noise(solver.data, solver.expected, responsibilities, state.noise, noise_bounds)
         state.pose_scale, state.map_scale = _scales(solver, system, lower, state, noise_bounds)
         box = solver.box(state)  # the bounds may have shrunk since g was solved for
         state.g = np.clip(state.g, -box, box)
     assert best is not None
     return replace(best, covariance=_covariance(best.system, solver, best.state))
-
-
-def fitted_noise(
-    solver: Solver, responsibilities: Responsibilities, noise: BeamNoise, noise_bounds: NoiseBounds
-) -> BeamNoise:
-    """Update the scale and the shares of tail, missing returns and outliers from the responsibilities (M step of EM, in closed form)."""
-    is_whole = responsibilities.weight > 0  # not truncated by a limit of the sensor
-    count = max(float((responsibilities.core + responsibilities.tail)[is_whole].sum()), 1.0)
-    e2 = np.where(is_whole, responsibilities.residual / solver.expected.sigma, 0.0) ** 2
-    variance = (
-        float((responsibilities.core * e2 + responsibilities.tail * e2 / SCAN.likelihood.tail_width**2).sum())
-        / count
-    )
-    returnable = max(float((solver.expected.p_return * np.isfinite(solver.expected.reading)).sum()), 1.0)
-    n = max(float(solver.data.returned.sum()), 1.0)
-    return BeamNoise(
-        core=float(np.sqrt(variance)),
-        tail=float(responsibilities.tail[is_whole].sum()) / count,
-        loss=float(responsibilities.lost.sum()) / returnable,
-        stray=float(responsibilities.stray.sum()) / n,
-    ).within(noise_bounds)
 
 
 def _scales(

@@ -26,7 +26,7 @@ from planners.kernel import inlined_kernel, kernel
 from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE, REACH, Edges
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.types import Floats
 from sensorgraph.world.beams import Beams
 from sensorgraph.world.scene import apply_range_limits
@@ -166,6 +166,31 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         lost=found[LOST],
         stray=found[STRAY],
     )
+
+
+def fitted_noise(
+    data: ScanData,
+    expected: ExpectedReadings,
+    responsibilities: Responsibilities,
+    noise: BeamNoise,
+    noise_bounds: NoiseBounds,
+) -> BeamNoise:
+    """Update the scale and the shares of tail, missing returns and outliers from the responsibilities (M step of EM, in closed form)."""
+    is_whole = responsibilities.weight > 0  # not truncated by a limit of the sensor
+    count = max(float((responsibilities.core + responsibilities.tail)[is_whole].sum()), 1.0)
+    e2 = np.where(is_whole, responsibilities.residual / expected.sigma, 0.0) ** 2
+    variance = (
+        float((responsibilities.core * e2 + responsibilities.tail * e2 / SETTINGS.tail_width**2).sum())
+        / count
+    )
+    returnable = max(float((expected.p_return * np.isfinite(expected.reading)).sum()), 1.0)
+    n = max(float(data.returned.sum()), 1.0)
+    return BeamNoise(
+        core=float(np.sqrt(variance)),
+        tail=float(responsibilities.tail[is_whole].sum()) / count,
+        loss=float(responsibilities.lost.sum()) / returnable,
+        stray=float(responsibilities.stray.sum()) / n,
+    ).within(noise_bounds)
 
 
 def sample(

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, map_coordinates
-from scipy.optimize import minimize
 
 from logs.run import RangeSensor, Run
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.result import Unknown
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.wall_raster import SCALE_STEP, SCALES, WallRaster, improved, rotation
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Floats
 from sensorgraph.world.orientation import orientation
@@ -21,10 +20,6 @@ from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.self_fit import self_fit
 
 SETTINGS = SCAN.alignment
-SCALES = np.geomspace(*SETTINGS.scale_range, SETTINGS.n_scales)
-"""Scales of the map that are tried."""
-SCALE_STEP = float(SCALES[1] / SCALES[0])
-"""Ratio of two successive scales."""
 UNITS = {
     100.0: "centimetres",
     1000.0: "millimetres",
@@ -114,7 +109,7 @@ def align(data: ScanData, rng: np.random.Generator) -> Alignment:
     points = _ends(data, rng)
     if len(points) < SCAN.intake.min_scans:
         return Alignment(share=1.0, best_share=1.0)
-    raster = _Raster(data.arena.walls)
+    raster = WallRaster(data.arena.walls)
     is_coarse = raster.cell > SETTINGS.coarse_cell  # for example a map in millimetres
     at_walls = Barriers(data.arena).distances(points) < SETTINGS.wall_distance if is_coarse else None
     share = raster.share(points) if at_walls is None else float(at_walls.mean())
@@ -199,17 +194,17 @@ def _matching_share(data: ScanData) -> float:
     return float((off < SETTINGS.wall_distance + SETTINGS.matching_error * measured[returned]).mean())
 
 
-def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Alignment:
+def _moved(data: ScanData, raster: WallRaster, points: Floats, share: float) -> Alignment:
     """Search for the rigid motion of the poses that puts most end points on walls."""
     middle = data.poses[:, :2].mean(axis=0)
     points = points - middle
     turns = np.linspace(-np.pi, np.pi, SETTINGS.n_turns, endpoint=False)
-    coarse = [(turn, *raster.correlated(points @ _rotation(turn).T)) for turn in turns]
+    coarse = [(turn, *raster.correlated(points @ rotation(turn).T)) for turn in turns]
     best = (share, 0.0, middle)
     for turn, shift, count in sorted(coarse, key=lambda one: -one[2])[: SETTINGS.n_refined]:
         if count / len(points) > best[0] - SETTINGS.min_gain / 2:
-            _, turned, _, moved = _improved(raster, points, turn, 1.0, shift)
-            got = raster.share(points @ _rotation(turned).T + moved)
+            _, turned, _, moved = improved(raster, points, turn, 1.0, shift)
+            got = raster.share(points @ rotation(turned).T + moved)
             if got > best[0]:
                 best = (got, turned, moved)
     shift = best[2] - middle
@@ -218,13 +213,13 @@ def _moved(data: ScanData, raster: _Raster, points: Floats, share: float) -> Ali
     )
 
 
-def _scaled(raster: _Raster, points: Floats, share: float) -> Alignment:
+def _scaled(raster: WallRaster, points: Floats, share: float) -> Alignment:
     """Find the scale of the measurements about the origin, with a shift, that puts most end points on walls."""
     shifts, counts = zip(*(raster.correlated(scale * points) for scale in SCALES), strict=True)
     if max(counts) < (share + SETTINGS.min_gain / 2) * len(points):
         return Alignment(share=share, best_share=share)
     found = [
-        _improved(raster, points, 0.0, float(SCALES[k]), shifts[k], by_scale=True)
+        improved(raster, points, 0.0, float(SCALES[k]), shifts[k], by_scale=True)
         for k in np.argsort(counts)[-SETTINGS.n_refined :]
     ]
     _, _, scale, shift = max(found, key=lambda one: one[0])
@@ -248,7 +243,7 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
     found = []
     for scale in tried:
         if not SETTINGS.scale_range[0] < scale < SETTINGS.scale_range[1]:
-            raster = _Raster(walls / scale)
+            raster = WallRaster(walls / scale)
             shift, count = raster.correlated(points)
             found.append((count, float(scale), shift, raster))
     found.sort(key=lambda one: -one[0])
@@ -256,7 +251,7 @@ def _far_scaled(data: ScanData, points: Floats, share: float) -> Alignment:
     for count, scale, shift, raster in found[: SETTINGS.n_refined]:
         if count < (share + SETTINGS.min_gain / 2) * len(points):
             break
-        _, _, rest, shift = _improved(raster, points, 0.0, 1.0, shift, by_scale=True)
+        _, _, rest, shift = improved(raster, points, 0.0, 1.0, shift, by_scale=True)
         got = raster.share(rest * points + shift)
         mended = replace(data.arena, walls=(walls / scale - shift) / rest)
         if got > best.best_share and _matching_share(replace(data, arena=mended, memo={})) >= PARTLY_MATCHING:
@@ -283,95 +278,3 @@ def _ends(data: ScanData, rng: np.random.Generator) -> Floats:
 
 def _is_one_laser(sensor: RangeSensor) -> bool:
     return not (sensor.is_composite or measures_cones(sensor))
-
-
-def _rotation(turn: float) -> Floats:
-    c, s = np.cos(turn), np.sin(turn)
-    return np.array([[c, -s], [s, c]])
-
-
-class _Raster:
-    """Grid of the walls, with the distance to the nearest one."""
-
-    def __init__(self, walls: Floats) -> None:
-        low = walls.reshape(-1, 2).min(axis=0) - 1.0
-        high = walls.reshape(-1, 2).max(axis=0) + 1.0
-        self.cell = max(SETTINGS.cell, float((high - low).max()) / SETTINGS.max_cells)
-        self.low = low
-        shape = np.ceil((high - low) / self.cell).astype(int) + 1
-        taken = np.zeros(shape, dtype=np.bool_)
-        step = np.diff(walls, axis=1)[:, 0]
-        n = (np.hypot(*step.T) / self.cell * 3).astype(int) + 2
-        part = np.concatenate([np.linspace(0, 1, k) for k in n])
-        at = np.repeat(walls[:, 0] - low, n, axis=0) + part[:, None] * np.repeat(step, n, axis=0)
-        taken[tuple((at / self.cell).round().astype(int).T)] = True
-        self.distance = distance_transform_edt(~taken) * self.cell
-        self.near = (self.distance < SETTINGS.wall_distance).astype(np.float64)
-        self.middle = (low + high) / 2
-
-    def score(self, points: Floats) -> float:
-        """Return the mean proximity of points to walls: 1 on a wall, decreasing over the wall distance."""
-        at = (points - self.low) / self.cell
-        distance = map_coordinates(self.distance, at.T, order=1, mode="nearest")
-        return float(np.exp(-0.5 * (distance / (0.5 * SETTINGS.wall_distance)) ** 2).mean())
-
-    def share(self, points: Floats) -> float:
-        """Return the share of points at a wall."""
-        at = ((points - self.low) / self.cell).round().astype(int)
-        inside = ((at >= 0) & (at < self.near.shape)).all(axis=1)
-        got = np.zeros(len(points))
-        got[inside] = self.near[at[inside, 0], at[inside, 1]]
-        return float(got.mean())
-
-    def correlated(self, points: Floats) -> tuple[Floats, float]:
-        """Return the shift [m] that puts most points on walls, and the number of these points."""
-        from scipy.signal import (
-            fftconvolve,
-        )  # 0.3 s to import; needed only if a map fits badly
-
-        low = points.min(axis=0)
-        at = ((points - low) / self.cell).round().astype(int)
-        shape = np.minimum(at.max(axis=0) + 1, 900)
-        at = at[(at < shape).all(axis=1)]
-        count = np.zeros(shape)
-        np.add.at(count, (at[:, 0], at[:, 1]), 1.0)
-        table = fftconvolve(self.near, count[::-1, ::-1])
-        i, j = np.unravel_index(int(table.argmax()), table.shape)
-        lag = np.array([i - (shape[0] - 1), j - (shape[1] - 1)])
-        return self.low + lag * self.cell - low, float(table[i, j])
-
-
-def _improved(
-    raster: _Raster, points: Floats, turn: float, scale: float, shift: Floats, *, by_scale: bool = False
-) -> tuple[float, float, float, Floats]:
-    """Improve the similarity `scale R(turn) points + shift` by the simplex method (Nelder and Mead 1965).
-
-    The centroid of the points moves, and they turn about it, or they are scaled about it. A scale stays within one step
-    of its start, because all points on one spot of a wall would be a perfect fit.
-
-    Returns
-    -------
-    score, turn, scale, shift
-    """
-    middle = points.mean(axis=0)
-    off = points - middle
-    reach = scale * float(np.sqrt(np.square(off).sum(axis=1).mean())) + raster.cell
-    start = scale * _rotation(turn) @ middle + shift
-
-    def placement(x: Floats) -> tuple[float, float, Floats]:
-        """Return turn, scale and centroid after a step (3,) [m]; the first is that of a point at the mean distance."""
-        part = x[0] / reach
-        turned, scaled = (turn, scale * np.exp(part)) if by_scale else (turn + part, scale)
-        return turned, scaled, start + x[1:]
-
-    def misfit(x: Floats) -> float:
-        turned, scaled, centroid = placement(x)
-        return -raster.score(scaled * off @ _rotation(turned).T + centroid)
-
-    most = reach * np.log(SCALE_STEP) if by_scale else np.inf
-    found = minimize(
-        misfit, np.zeros(3), method="Nelder-Mead", bounds=[(-most, most), (None, None), (None, None)],
-        options={"initial_simplex": np.vstack([np.zeros(3), raster.cell * np.eye(3)]), "xatol": 1e-3, "fatol": 1e-5},
-    )  # fmt: skip
-    turned, scaled, centroid = placement(found.x)
-    return -float(found.fun), turned, scaled, centroid - scaled * _rotation(turned) @ middle

@@ -6,7 +6,6 @@ evidence; at a known site, what may be clutter comes last. `engine.selection.sel
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +14,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import select
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, start_state, thin, thin_state
-from sensorgraph.diagnosis.scan.gauss_newton import State
+from sensorgraph.diagnosis.scan.nuisance import State
 from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate
@@ -27,8 +26,6 @@ from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import without
 from sensorgraph.effects.places import named_walls
 from sensorgraph.types import Bools, Progress, ProgressBars, no_progress
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -274,7 +271,6 @@ class CandidateFits:
                 better = searched(few, got, self.noise_bounds, rounds=4, first=1.0, turns=turns)
                 self.quick[k] = (gain + (better.j - got.j) * self._every, better)
         self.quick.sort(key=lambda pair: -pair[0])
-        logger.debug("quick %s", [(f.model[-1].name, f.model[-1].place, round(g)) for g, f in self.quick])
 
     def to_all_scans(self) -> list[tuple[Fitted, float]]:
         """Fit the candidates that come close to the best to all scans; return the fits with their gains [nats]."""

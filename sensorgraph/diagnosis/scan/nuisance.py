@@ -10,7 +10,7 @@ A surface, an edge or a tilt bends a ray. The derivatives of such rays by the po
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -248,6 +248,41 @@ class BeamNoise:
     def within(self, bounds: NoiseBounds) -> BeamNoise:
         """Return the noise, clipped to bounds."""
         return BeamNoise(**{k: float(np.clip(v, *getattr(bounds, k))) for k, v in vars(self).items()})
+
+
+@dataclass(eq=False)
+class State:
+    """Values of the nuisances."""
+
+    g: Floats
+    """(8 + 2 n_corners,) one value for each Nuisance, then x and y of each corner."""
+    delta: Floats
+    """(n_scans, 3) [m, m, rad] pose errors."""
+    noise: BeamNoise = field(default_factory=BeamNoise)
+    pose_scale: float = 1.0
+    """Factor by which the tolerances of the reference pose are too tight."""
+    map_scale: float = 1.0
+    """Factor by which the tolerance of the map is too tight."""
+    laid: Floats | None = None
+    """(2 n_corners,) [m] shifts of the corners of an occupancy-grid map in the cast of this state."""
+    posed: Floats | None = None
+    """(n_scans, 3) [m, m, rad] pose errors in that cast, where the tolerances of the reference pose are wide."""
+    effects: Floats = field(default_factory=lambda: np.zeros(4))
+    """(4,) [m, m, rad, s] mount and delay according to the effects in the model (`POSE_LIKE`)."""
+
+    @property
+    def corners(self) -> Floats:
+        """(2 n_corners,) [m] shifts of the corners."""
+        return self.g[len(Nuisance) :]
+
+    @property
+    def stretch(self) -> float:
+        """Larger of the factors by which the tolerances of reference pose and map are too tight."""
+        return max(self.pose_scale, self.map_scale)
+
+    def copy(self) -> State:
+        """Return a copy that can be modified."""
+        return replace(self, g=self.g.copy(), delta=self.delta.copy(), noise=replace(self.noise))
 
 
 def pose_prior(data: ScanData, scale: float) -> Floats:

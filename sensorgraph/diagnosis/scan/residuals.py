@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.gauss_newton import Solver, State
+from sensorgraph.diagnosis.scan.gauss_newton import Solver
 from sensorgraph.diagnosis.scan.likelihood import SQRT_TAU, Responsibilities, e_step, sample
-from sensorgraph.diagnosis.scan.nuisance import pose_prior
+from sensorgraph.diagnosis.scan.nuisance import State, pose_prior
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.interfaces import Present

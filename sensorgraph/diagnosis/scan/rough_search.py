@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, log_likelihood
-from sensorgraph.diagnosis.scan.gauss_newton import State
+from sensorgraph.diagnosis.scan.nuisance import State
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment

@@ -200,19 +200,13 @@ class SelectionSettings:
     """Number of scans on which all candidates are fitted."""
     n_readings: int = 50_000
     """Maximum number of readings of these scans: lasers of many rays need fewer scans."""
+    n_cast_scans: int = 40
+    """Number of scans on which values that effects request are cast, and effects for their consequence."""
+    max_cast_values: int = 2
+    """Maximum number of these values that are proposed, each the best of its group."""
     same_gain: float = 0.8
     """Minimum ratio of the smaller to the larger of a candidate's expected gains, in the bare model and now.
     Above it, the gain is unchanged, and the candidate is not a remainder of other effects."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SweepSettings:
-    """Values that effects request to be cast (`shortlist`); `sensorgraph.effects.proposals` has the limits of proposals."""
-
-    n_scans: int = 40
-    """Number of scans on which values are cast, and effects for their consequence."""
-    max_candidates: int = 2
-    """Maximum number of groups that are proposed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,7 +341,6 @@ class ScanSettings:
     likelihood: LikelihoodSettings = field(default_factory=LikelihoodSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
-    sweep: SweepSettings = field(default_factory=SweepSettings)
     goodness_of_fit: GoodnessOfFitSettings = field(default_factory=GoodnessOfFitSettings)
     site: SiteSettings = field(default_factory=SiteSettings)
     naming: NamingSettings = field(default_factory=NamingSettings)

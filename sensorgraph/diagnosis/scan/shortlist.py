@@ -171,7 +171,7 @@ def _best_casts(
     groups: Sequence[tuple[Effect, Sequence[Mapping[str, float]]]],
 ) -> list[Candidate]:
     """Return the best value of each group of values of an effect, cast beside a model; of all groups, the best few."""
-    every = max(1, data.n_scans // SCAN.sweep.n_scans)
+    every = max(1, data.n_scans // SCAN.selection.n_cast_scans)
     few = thin(data, every)
     state = start_state(few, SCAN.noise)  # fitted nuisances may have absorbed the effect
     base = log_likelihood(few, model, state)
@@ -185,7 +185,7 @@ def _best_casts(
             if len(tried) > 1 and gain < min(tried[-2].gain, 0.0):
                 break
         found.append(max(tried, key=lambda c: c.gain))
-    return sorted(found, key=lambda c: -c.gain)[: SCAN.sweep.max_candidates]
+    return sorted(found, key=lambda c: -c.gain)[: SCAN.selection.max_cast_values]
 
 
 def name_at_place(amendment: Amendment) -> str:
