@@ -107,7 +107,7 @@ def test_what_a_straight_drive_does_not_show_is_in_the_table_with_its_reason() -
 def test_a_robot_that_stands_gets_a_table_and_no_error(tmp_path: Path) -> None:
     still = straight(4)
     still = replace(still.part(slice(0, 0)), odometry=np.zeros((50, 3)), stamps=0.1 * np.arange(50))
-    finding = finding_of(run=still)
+    finding = finding_of(run=calibrate(still))
     assert finding.lines[0] == "The drive does not show wheels and mount: the odometry never moves."
     assert not finding.effects
     save_driving(finding, tmp_path / "out", {})
@@ -129,7 +129,7 @@ def test_runs_are_compared_in_what_both_show() -> None:
 
 
 def test_a_short_drive_is_too_short_to_show_a_change(room: Arena) -> None:
-    finding = finding_of(run=short(20, 0))
+    finding = finding_of(run=calibrate(short(20, 0)))
     assert "The drive is too short to show a change during it." in finding.lines_of("run")
 
 
