@@ -21,7 +21,7 @@ import logs
 from benchmarks.arguments import parser_of, timed
 from benchmarks.places import arena_named
 from logs.run import Run
-from logs.transforms import compose, invert, wrap
+from logs.transforms import compose, difference, invert, wrap
 from planners.maps.ros_map import of_grid
 from planners.types import Floats, Ints
 from sensorgraph.exporting.nav2 import map_of
@@ -239,8 +239,7 @@ def compare_offices(seeds: int, first: int, kind: str) -> None:
         if kind == "none":
             errors, turn = aligned(found.poses, truth)
         else:
-            difference = found.poses - truth
-            errors, turn = np.column_stack([difference[:, :2], wrap(difference[:, 2])]), np.eye(3)
+            errors, turn = difference(found.poses, truth), np.eye(3)
         place, covered, z = judged(errors, turn, found)
         places.append(place)
         inside.append(covered)

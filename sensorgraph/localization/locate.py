@@ -7,6 +7,7 @@ import io
 import json
 from dataclasses import dataclass, fields, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -33,6 +34,7 @@ POSE_SOURCE = "locate"
 """`pose_source` of a located run."""
 ATTACHMENT = "localization.json"
 """Attachment of a located run with the localization summary."""
+_kept_walls = WeakKeyDictionary[Arena | Sensorgraph, MapWalls]()
 COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status", "map")
 
 
@@ -86,7 +88,13 @@ def locate(
 
 
 def walls_of_place(place: Arena | Sensorgraph) -> MapWalls:
-    """Return the walls of an arena or a sensorgraph with what is known of them."""
+    """Return the walls of an arena or a sensorgraph with what is known of them; they are kept as long as the place."""
+    if place not in _kept_walls:
+        _kept_walls[place] = _walls_of(place)
+    return _kept_walls[place]
+
+
+def _walls_of(place: Arena | Sensorgraph) -> MapWalls:
     if isinstance(place, Sensorgraph):
         walls, normals = walls_of_graph(place)
         return MapWalls(walls, seen_by_graph(place), normals)

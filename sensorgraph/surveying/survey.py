@@ -17,7 +17,7 @@ from sensorgraph.diagnosis.motion.calibration.estimate import PARAMETERS, Drivin
 from sensorgraph.diagnosis.without_reference import with_described_mount
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.loading import open_place, robot_in
-from sensorgraph.localization.known_map import KnownMap, MapWalls, known_map
+from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.locate import locate, located_run, walls_of_place
 from sensorgraph.localization.map_check import best_fit, looks
 from sensorgraph.localization.result import Localization
@@ -58,7 +58,7 @@ def survey(arguments: dict[str, Any]) -> dict[str, Any]:
     row |= {"place": "" if place is None else Path(place).name, "place_fit": fit, **_located(found)}
     row |= _calibration(run, located, machine)
     if place is not None:
-        changes = changed_places(located, _walls(place).walls)
+        changes = changed_places(located, walls_of_place(_opened(place)).walls)
         row["changes"] = changes.to_dict()
         if changes.offset is not None:
             row["quantities"] |= {"range_offset": list(changes.offset)}
@@ -107,13 +107,8 @@ _opened = lru_cache(PLACES_AT_ONCE)(open_place)
 
 
 @lru_cache(PLACES_AT_ONCE)
-def _walls(place: str) -> MapWalls:
-    return walls_of_place(_opened(place))
-
-
-@lru_cache(PLACES_AT_ONCE)
 def _known(place: str) -> KnownMap:
-    return known_map(*_walls(place))
+    return known_map(*walls_of_place(_opened(place)))
 
 
 def _best_place(run: Run, places: list[str]) -> tuple[str | None, float | None]:
