@@ -31,7 +31,7 @@ def alternating_text(ranges: Floats) -> str:
         return ""
     return (
         f"{100 * share:.0f} % of the scans differ from the next one, and are like a later one: two scanners seem to share the topic and "
-        "the frame, or one laser alternates between two planes; give each of them another topic or frame_id"
+        "the frame, or one laser alternates between two planes. Give each its own topic or frame_id"
     )
 
 

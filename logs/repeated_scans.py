@@ -1,7 +1,6 @@
 """Find scans that a driver repeats with new stamps while the robot moves on; they were never measured.
 
-Measured scans differ by noise. Equal ones are also those of a robot that stands in a simulator without noise, so that the
-motion decides.
+Measured scans differ by noise. Those of a standing robot in a simulator without noise are equal as well, so the motion decides.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ def blank_repeated(run: Run) -> Run:
     has_motion = len(run.odom_stamps) > 1 or len(run.pose_stamps) > 1
     most = int((ends - starts + 1).max())
     if not has_motion and most >= MIN_UNKNOWN:
-        text = f"{most} scans in a row are equal in every ray: the driver was stuck, or the robot stands in a simulator"
+        text = f"{most} scans in a row are equal in every ray: the driver was stuck, or a simulated robot stands still"
         return with_note(run, text)
     return run
 
@@ -56,7 +55,7 @@ def equal_to_previous(ranges: Floats) -> Bools:
 
 
 def _way(run: Run, first: Ints, last: Ints) -> float:
-    """Return how far the robot moves [m, or rad] from scans (n,) to others (n,), in total, by the odometry or else by the poses."""
+    """Return the total motion [m, or rad] from scans (n,) to others (n,), by the odometry, or by the poses without odometry."""
     tracks = ((run.odom_stamps, run.odometry), (run.pose_stamps, run.poses))
     stamps, poses = next(((at, values) for at, values in tracks if len(at) > 1), (None, None))
     if stamps is None or poses is None:

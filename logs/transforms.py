@@ -97,10 +97,11 @@ def to_translation_quaternion(poses: Floats, z: float = 0.0) -> Floats:
 
 
 def are_oriented(quaternions: Floats) -> NDArray[np.bool_]:
-    """Return whether each quaternion (n, 4) is an orientation; one that is not finite counts, as it is dropped later.
+    """Return whether each quaternion (n, 4) is an orientation.
 
-    0 0 0 0 is none. Quaternions of one norm are only scaled; of others, those with a norm far from 1 are none. If many
-    are, none is: so writes a driver that puts the yaw into z.
+    One that is not finite counts, because it is dropped later. The quaternion 0 0 0 0 does not count. Quaternions of
+    equal norm are only scaled. Otherwise, those with a norm far from 1 do not count, and if there are many, no quaternion
+    does: a driver that puts the yaw into z writes such quaternions.
     """
     norms = np.linalg.norm(quaternions, axis=1)
     absent = norms == 0
