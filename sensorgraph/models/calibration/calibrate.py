@@ -46,7 +46,7 @@ from sensorgraph.models.calibration.pose_refinement import (
 )
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
-from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces
+from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces, moved_faces
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
@@ -60,6 +60,8 @@ PROBE_READINGS = 250_000
 """Readings, in whole scans, of a first test and of the search for the gauge; without any gain there, the full test is skipped."""
 COARSE_SIGMAS, FINE_SIGMA = (0.025, 0.015), 0.012
 """[m] Range noise assumed in the coarse rounds and in the fine ones."""
+MAX_REFINEMENTS = 20
+"""Maximum number of times that faces and poses are refined in turn, for a laser as specified."""
 GAUGE_REACHES = (0.012, 0.003)
 """[m] Half width of the search for the gauge in each fine round."""
 SELECTIONS = 3
@@ -250,30 +252,29 @@ class _JointCalibration:
 
     def run(self, tick: Progress) -> CalibratedFaces:
         """Calibrate from coarse to fine; for a laser as specified, only refine the poses."""
-        reaches = GAUGE_REACHES[: 2 if self.laser_differs else 1]
-        sigmas = COARSE_SIGMAS if self.laser_differs else ()
+        reaches, sigmas = (GAUGE_REACHES, COARSE_SIGMAS) if self.laser_differs else ((), ())
         work = WorkCounter(tick, len(sigmas) + 2 * len(reaches) + 1)  # stages of similar duration
         if self.laser_differs:
             self.shifts = np.zeros_like(self.shifts)  # they compensated errors of the laser
             self.pose_noise = self.pose_errors = (0.0, 0.0)
-            for i, sigma in enumerate(sigmas):
-                self.set_faces(draft_faces(self.corrected(), sigma=sigma), least=sigma)
-                self.adjust(incidence=i > 0)
-                self.adjust(incidence=i > 0)
-                work.add(1)
+        for i, sigma in enumerate(sigmas):
+            self.set_faces(draft_faces(self.corrected(), sigma=sigma), least=sigma)
+            self.adjust(incidence=i > 0)
+            self.adjust(incidence=i > 0)
+            work.add(1)
         for reach in reaches:
             rays = self.corrected()
             self.set_faces(
                 fit_faces(rays, sigma=FINE_SIGMA, pose_errors=self.pose_errors, progress=work.part(1))
             )
             work.add(1)
-            if self.laser_differs:
-                self.adjust(incidence=True)
-                self.refine_poses()
-                self.adjust(incidence=True)
-                self.fix_gauge(reach)
+            self.adjust(incidence=True)
+            self.refine_poses()
+            self.adjust(incidence=True)
+            self.fix_gauge(reach)
             self.refine_poses()
             work.add(1)
+        self.refine_in_turn()
         rays = self.corrected()
         fitted = fit_faces(rays, pose_errors=self.pose_errors, progress=work.part(1))
         return CalibratedFaces(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
@@ -307,16 +308,26 @@ class _JointCalibration:
             *self.has_own.sum(axis=1), np.round(1e3 * self.terms.incidence, 1),
         )  # fmt: skip
 
-    def refine_poses(self) -> None:
-        """Refine the training poses if that gains enough evidence."""
+    def refine_in_turn(self) -> None:
+        """Move faces to the rays and poses to the faces, until the poses gain little evidence per reading."""
+        least, before = CALIBRATION.min_gain_per_reading * len(self.readings), -math.inf
+        for _ in range(MAX_REFINEMENTS):
+            self.faces, self.noise = moved_faces(self.corrected(), self.faces, self.noise)
+            evidence = self.refine_poses()
+            if evidence - before < least:
+                break
+            before = evidence
+
+    def refine_poses(self) -> float:
+        """Refine the training poses if that gains enough evidence; return the log evidence [nats]."""
         matches = self.match()
         better = self._poses(matches)
         size = 1e3 * better.sigma_xy, 1e3 * better.sigma_yaw
         logger.info("poses: %.0f nats, %.2f mm, %.3f mrad", better.log_evidence, *size)
-        if better.log_evidence < CALIBRATION.min_gain:
-            return
-        self.shifts = better.shifts
-        self.pose_noise, self.pose_errors = (better.sigma_xy, better.sigma_yaw), better.errors
+        if better.log_evidence >= CALIBRATION.min_gain:
+            self.shifts = better.shifts
+            self.pose_noise, self.pose_errors = (better.sigma_xy, better.sigma_yaw), better.errors
+        return better.log_evidence
 
     def fix_gauge(self, reach: float) -> None:
         """Fix the common shift of the walls by occlusion edges, then adjust the ray terms."""

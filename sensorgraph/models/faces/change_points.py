@@ -13,7 +13,7 @@ import numpy as np
 
 from planners.groups import members
 from planners.kernel import inner_kernel, kernel
-from sensorgraph.models.faces.blurred_edges import blur_edges, pooled
+from sensorgraph.models.faces.blurred_edges import Outcomes, blur_edges
 from sensorgraph.models.faces.ray_march import MIN_LENGTH, MIN_VISIBILITY, FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import (
@@ -49,10 +49,10 @@ class Crossings(NamedTuple):
     bounds: Ints
     """(n_faces + 1,) index of each face's first crossing."""
 
-    def at(self, k: int) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return abscissae, stops, weights and errors of face k."""
+    def at(self, k: int) -> Outcomes:
+        """Return the crossings of face k."""
         part = slice(self.bounds[k], self.bounds[k + 1])
-        return self.t[part], self.stop[part], self.weight[part], self.error[part]
+        return Outcomes(self.t[part], self.stop[part], self.weight[part], self.error[part])
 
     def of_faces(self, index: Ints) -> Crossings:
         """Return the crossings of some faces, in the order of `index`."""
@@ -69,7 +69,7 @@ def fit_stretches(faces: FaceSet, crossings: Crossings) -> FaceSet:
     """
     first, edges, levels, blur = [0], [], [], []
     for k in range(faces.n_faces):
-        cut, level, gap = _stretches(*crossings.at(k))
+        cut, level, gap = _stretches(crossings.at(k))
         edges.append(cut)
         levels.append(level)
         blur.append(gap)
@@ -174,8 +174,9 @@ def _list_crossings(
     return face[:count], at[:count], stop[:count], weight[:count], error[:count]
 
 
-def _stretches(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[Floats, Floats, Floats]:
+def _stretches(crossings: Outcomes) -> tuple[Floats, Floats, Floats]:
     """Partition sorted crossings; return edges, visibility after each (the last is 0) and standard errors."""
+    t, stop, weight, error = crossings
     if len(t) == 0:
         return np.array([0.0, 1e-9]), np.zeros(2), np.zeros(2)
     penalty = FACES.min_edge_gain + 0.5 * np.log(len(t))
@@ -187,8 +188,7 @@ def _stretches(t: Floats, stop: Floats, weight: Floats, error: Floats) -> tuple[
     gap = np.concatenate([[0.0], (t[inner] - t[inner - 1]) / np.sqrt(12), [0.0]])
     level = np.append(level, 0.0)
     if len(inner) and error.any():
-        pools = pooled(t, stop, weight, error)
-        edges, level, gap = blur_edges(t, stop, weight, error, pools, edges, level, gap, penalty)
+        edges, level, gap = blur_edges(crossings, edges, level, gap, penalty)
     level[level < MIN_LEVEL] = 0.0
     return edges + 1e-9 * np.arange(len(edges)), level, gap
 

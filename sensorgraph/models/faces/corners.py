@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.models.faces.blurred_edges import WINDOW, edge_log_likelihood, mean_error
+from sensorgraph.models.faces.blurred_edges import WINDOW, Outcomes, edge_log_likelihood
 from sensorgraph.models.faces.change_points import Crossings, has_length, take_faces
 from sensorgraph.models.faces.ray_march import MIN_LENGTH, FaceSet
 from sensorgraph.models.faces.settings import FACES
@@ -31,7 +31,7 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
     for e, k, p in zip(ends, owners, places, strict=True):
         best = (MAX_LOSS, -1, 0.0)
         for other, s in _intersections(faces, k, p):
-            cost = _loss(faces, e, k, s, *crossings.at(k))
+            cost = _loss(faces, e, k, s, crossings.at(k))
             cost += 0.5 * ((s - edges[e]) / NEAR) ** 2
             if cost < best[0]:
                 best = (cost, other, s)
@@ -77,18 +77,13 @@ def _intersections(faces: FaceSet, k: int, p: Floats) -> list[tuple[int, float]]
     return out
 
 
-def _loss(
-    faces: FaceSet, e: int, k: int, s: float, t: Floats, stop: Floats, weight: Floats, error: Floats
-) -> float:
+def _loss(faces: FaceSet, e: int, k: int, s: float, crossings: Outcomes) -> float:
     """Return the log likelihood [nats] lost by moving edge e of face k to abscissa s; pose noise blurs edges."""
     old = float(faces.edges[e])
-    margin = WINDOW * mean_error(t, error, old)
-    a, b = np.searchsorted(t, [min(old, s) - margin, max(old, s) + margin])
-    after = faces.levels[e]
+    margin = WINDOW * crossings.mean_error(old)
+    near = crossings.between(min(old, s) - margin, max(old, s) + margin)
     before = faces.levels[e - 1] if e > faces.first[k] else 0.0
-    stays, moves = (
-        edge_log_likelihood(t, stop, weight, error, a, b, before, after, place) for place in (old, s)
-    )
+    stays, moves = edge_log_likelihood(near, before, faces.levels[e], np.array([old, s]))
     return float(stays - moves)
 
 

@@ -113,6 +113,12 @@ def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
     return FittedFaces(faces=faces, noise=noise, expectation=expectation, n_rays=len(draft))
 
 
+def moved_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> tuple[FaceSet, ReturnNoise]:
+    """Move fitted faces to a subset of the rays, for instance after these were corrected; none appears or vanishes."""
+    draft = _thinned(replace(rays, weights=None), DRAFT_RAYS)
+    return _em(draft, faces, noise, passes=PASSES)[:2]
+
+
 def _select_and_fit(
     rays: Rays, hit_moments: HitMoments, sigma: float
 ) -> tuple[FaceSet, ReturnNoise, Expectation]:

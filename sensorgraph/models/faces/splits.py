@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel, outer_kernel
+from planners.kernel import kernel
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.ray_march import MIN_LENGTH, FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
@@ -79,59 +79,35 @@ def _split(s: Floats, across: Floats, weight: Floats) -> list[tuple[int, int, fl
     return done
 
 
-@outer_kernel
-def _line_fit(s: Any, e: Any, w: Any) -> Any:
-    """Fit e = a + b s: minimise sum_i w_i (e_i - a - b s_i)² + (b / slope_prior)²."""
-    total, total_s, total_e, across, along = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(len(w)):
-        total += w[i]
-        total_s += w[i] * s[i]
-        total_e += w[i] * e[i]
-    mean_s, mean_e = total_s / total, total_e / total
-    for i in range(len(w)):
-        across += w[i] * (s[i] - mean_s) * (e[i] - mean_e)
-        along += w[i] * (s[i] - mean_s) ** 2
-    slope = across / (along + SLOPE_PRECISION)
-    return mean_e - slope * mean_s, slope
+def _line_fit(s: Floats, e: Floats, w: Floats) -> tuple[float, float]:
+    """Fit e = a + b s: minimise sum_i w_i (e_i - a - b s_i)² + (b / slope_prior)²; return a and b."""
+    mean_s, mean_e = w @ s / w.sum(), w @ e / w.sum()
+    along = w * (s - mean_s)
+    slope = along @ (e - mean_e) / (along @ (s - mean_s) + SLOPE_PRECISION)
+    return float(mean_e - slope * mean_s), float(slope)
 
 
-@kernel
-def _best_cut(s: Any, e: Any, w: Any, min_hits: Any) -> Any:
+def _best_cut(s: Floats, e: Floats, w: Floats, min_hits: int) -> tuple[int, float]:
     """Find the cut that maximises the gain of two lines over one; return the first index of the second, and the gain.
 
     Gain [nats]: ½ (explained(first) + explained(second) - explained(all)), by prefix sums of the moments.
     """
-    n = len(s)
-    best, place_ = 0.0, 0
-    if n < 2 * min_hits:
-        return place_, best
-    c = s[n // 2]
-    sums = np.zeros((n + 1, 6))
-    for i in range(n):
-        x = s[i] - c
-        sums[i + 1, 0] = sums[i, 0] + w[i]
-        sums[i + 1, 1] = sums[i, 1] + w[i] * x
-        sums[i + 1, 2] = sums[i, 2] + w[i] * x * x
-        sums[i + 1, 3] = sums[i, 3] + w[i] * e[i]
-        sums[i + 1, 4] = sums[i, 4] + w[i] * x * e[i]
-    whole, rest = _explained(sums[n]), np.zeros(6)
-    for i in range(min_hits, n - min_hits + 1):
-        for k in range(5):
-            rest[k] = sums[n, k] - sums[i, k]
-        gain = 0.5 * (_explained(sums[i]) + _explained(rest) - whole)
-        if gain > best:
-            best, place_ = gain, i
-    return place_, best
+    if len(s) < 2 * min_hits:
+        return 0, 0.0
+    x = s - s[len(s) // 2]
+    sums = np.cumsum([w, w * x, w * x * x, w * e, w * x * e], axis=1)
+    whole, first = sums[:, -1:], sums[:, min_hits - 1 : len(s) - min_hits]
+    gain = 0.5 * (_explained(first) + _explained(whole - first) - _explained(whole))
+    best = int(gain.argmax())
+    return (best + min_hits, float(gain[best])) if gain[best] > 0 else (0, 0.0)
 
 
-@inner_kernel
-def _explained(m: Any) -> Any:
-    """Return (sum w e)² / sum w + sxy² / sxx: the weighted squares that a line explains, from the moments m."""
-    if m[0] <= 0:
-        return 0.0
-    sxx = m[2] - m[1] * m[1] / m[0] + SLOPE_PRECISION
-    sxy = m[4] - m[1] * m[3] / m[0]
-    return m[3] * m[3] / m[0] + sxy * sxy / sxx
+def _explained(m: Floats) -> Floats:
+    """Return (sum w e)² / sum w + sxy² / sxx: the weighted squares that a line explains, from the moments m (5, n)."""
+    total = np.maximum(m[0], 1e-300)  # hits without weight explain nothing
+    sxx = m[2] - m[1] * m[1] / total + SLOPE_PRECISION
+    sxy = m[4] - m[1] * m[3] / total
+    return np.asarray(m[3] * m[3] / total + sxy * sxy / sxx)
 
 
 @kernel
