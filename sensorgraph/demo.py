@@ -74,8 +74,7 @@ def demo(
     """Run the loop; write plan, runs, graphs, review and diagnosis to `folder`.
 
     The hidden effect and the random drive are simulated in another process, because they are independent of the
-    planned run. It starts after the plan, and every graph is built here: two processes that find no compiled
-    kernels would compile the same ones.
+    planned run. Every graph is built here: two processes that find no compiled kernels would compile the same ones.
 
     Parameters
     ----------
@@ -87,11 +86,9 @@ def demo(
     The planned drive and, if `full`, the random drive, and the planned drive with the model of 2004; and the hidden
     effect.
     """
-    plan = _plan(arena, robot, "coverage", None, seed, progress)
-    duration = plan.trajectory.duration if full else None
     report, shown = folder / "diagnosis" / "report.html", set[Path]()
     report.unlink(missing_ok=True)  # of an earlier demo in this folder
-    with OtherProcess(_side_work, folder, arena, robot, seed, duration) as side:
+    with OtherProcess(hide_and_find, folder / "diagnosis", arena, robot, seed) as side:
 
         @contextmanager
         def bars(title: str, unit: str) -> Iterator[Progress]:
@@ -102,6 +99,7 @@ def demo(
                 shown.add(report)
                 show("diagnosis", report)
 
+        plan = _plan(arena, robot, "coverage", None, seed, bars)
         save(plan, folder / "plan", arena, robot)
         show("plan", folder / "plan" / "plan.png")
         check = check_run(arena, robot, np.random.default_rng([seed, 99]))
@@ -120,12 +118,15 @@ def demo(
             name="coverage.mcap",
         )
         show("review", folder / "review.rrd")
-        hidden, other = side.result(progress)
+        hidden = side.result(progress)
     if not shown:
         show("diagnosis", report)
-    if other is None:
+    if not full:
         return [planned], hidden
-    random = _modelled(folder, "random_bounce", *other, arena, robot, check, progress)
+    other = _plan(arena, robot, "random_bounce", plan.trajectory.duration, seed, progress)
+    path = folder / "random_bounce.mcap"
+    driven = record(path, arena, robot, other.trajectory, seed=seed, progress=progress)
+    random = _modelled(folder, "random_bounce", other, driven, arena, robot, check, progress)
     plain = build([run], arena=arena, model=BASELINE, names=["coverage.mcap"], progress=progress)
     plain.save(folder / f"coverage.{BASELINE}.sensorgraph")
     races = {
@@ -139,18 +140,6 @@ def demo(
         random,
         replace(planned, model=BASELINE, graph=plain, checked=evaluate(plain, check)),
     ], hidden
-
-
-def _side_work(
-    folder: Path, arena: Arena, robot: Robot, seed: int, duration: float | None, *, progress: ProgressBars
-) -> tuple[HiddenEffect, tuple[Plan, Run] | None]:
-    """Hide an effect and find it; then drive at random for a duration [s], or not at all."""
-    hidden = hide_and_find(folder / "diagnosis", arena, robot, seed, progress=progress)
-    if duration is None:
-        return hidden, None
-    plan = _plan(arena, robot, "random_bounce", duration, seed, progress)
-    path = folder / "random_bounce.mcap"
-    return hidden, (plan, record(path, arena, robot, plan.trajectory, seed=seed, progress=progress))
 
 
 def _modelled(

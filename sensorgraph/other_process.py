@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 from sensorgraph import termination
+from sensorgraph.garbage import search_less_often
 from sensorgraph.termination import Terminated
 from sensorgraph.types import Progress, ProgressBars
 
@@ -155,6 +156,7 @@ def _run(pipe: Connection) -> None:
 
     try:
         termination.install()
+        search_less_often()
         _end_with_parent()
         _block_interrupt(False)
         try:

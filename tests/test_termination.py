@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from planners.compile_ahead import HELPER
 from sensorgraph.cli import run as command
 from sensorgraph.termination import Terminated
 
@@ -147,20 +145,6 @@ def test_other_processes_end_when_the_command_is_killed(theirs: str, tmp_path: P
         family = descendants(process.pid)
         process.kill()
         assert_all_end(family)
-
-
-def test_a_compiler_helper_ends_with_its_parent(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(
-        "import time\nfrom pathlib import Path\nclass kernel:\n    def compile(kinds):\n"
-        "        Path('compiling').touch()\n        time.sleep(60)\n"
-    )
-    helper = subprocess.Popen([sys.executable, "-c", HELPER], cwd=tmp_path, stdin=subprocess.PIPE)
-    assert helper.stdin is not None
-    helper.stdin.write(pickle.dumps(([str(tmp_path), *sys.path], [("slow", "kernel", ())])))
-    helper.stdin.flush()
-    wait_for(tmp_path / "compiling")
-    helper.stdin.close()
-    assert helper.wait(PROMPT) == 1
 
 
 def test_a_signal_in_a_finalizer_is_no_traceback() -> None:

@@ -13,7 +13,6 @@ from itertools import count
 
 import numpy as np
 
-from planners.compile_ahead import compile_for
 from planners.rooms import NEIGHBOUR_STEPS
 from planners.search.area import SearchArea
 from planners.search.beam import beam_search, drive
@@ -163,16 +162,13 @@ class CoverageSearch:
         return SearchStatus.STOPPED
 
     def compile(self) -> None:
-        """Compile the kernels of `run`, or load them from the cache, so that progress starts with the search."""
+        """Compile the kernels of `run`, or load them from the cache, by calling them where no bin is missing."""
         tables = self._tables()
-        workspace = tables.workspace
         buffers = heuristic_buffers(self.settings, self.primitives, self.area)
-        compile_for(  # while one process begins with `cell_distances`, the other compiles what the large ones share
-            (beam_search, (self.state, tables)),
-            (cell_distances, (self.world, workspace.far, workspace.cell_queue)),
-            (drive, (self.state, 0, 0, 0, tables)),
-            (nearest_goal_search, (self.state, tables, 1, True, buffers)),
-        )
+        cell_distances(self.world, tables.workspace.far, tables.workspace.cell_queue)
+        beam_search(self.state, tables)
+        drive(self.state, 0, 0, 0, tables)
+        nearest_goal_search(self.state, tables, 1, True, buffers)
 
     def _tables(self) -> SearchTables:
         """Return the input and the memory of the kernels."""

@@ -39,6 +39,7 @@ from sensorgraph.cli.review import review
 from sensorgraph.cli.show import show
 from sensorgraph.cli.watch import watch
 from sensorgraph.cli.why import why
+from sensorgraph.garbage import search_less_often
 from sensorgraph.termination import INTERRUPTED, TERMINATED, Terminated, install
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -195,6 +196,7 @@ def main() -> None:
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `sensorgraph show ... | head` ends quietly
     install(TERMINATED_LINE)
+    search_less_often()
     for name in THREADS_OF_BLAS:
         os.environ.setdefault(name, "1")  # read by numpy when it is imported, which the commands do
     code = run()
