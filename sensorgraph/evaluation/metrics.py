@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from planners.kernel import inner_kernel, kernel
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats
 
@@ -96,15 +95,17 @@ class MetricSums:
         Chamfer is half the sum of the mean distances to the nearest end point, measured to predicted and predicted to
         measured. The f-score is the harmonic mean of both shares within 0.1 m. Scans without a scored ray do not count.
         """
-        order = np.argsort(self.bearings % (2 * np.pi))
-        chamfer, f_score = np.empty(len(measured)), np.empty(len(measured))
-        _compare_end_points(
-            measured[:, order], value[:, order], scored[:, order], self.bearings[order], MATCH_DISTANCE,
-            chamfer, f_score,
-        )  # fmt: skip
-        counted = scored.any(axis=1)
-        self.chamfer += chamfer[counted].tolist()
-        self.f_score += f_score[counted].tolist()
+        ray = np.stack([np.cos(self.bearings), np.sin(self.bearings)], axis=1)
+        for z, predicted, use in zip(measured, value, scored, strict=True):
+            if not use.any():
+                continue
+            seen, told = (ranges[use, None] * ray[use] for ranges in (z, predicted))
+            there, back = cKDTree(told).query(seen)[0], cKDTree(seen).query(told)[0]
+            recall, precision = (there <= MATCH_DISTANCE).mean(), (back <= MATCH_DISTANCE).mean()
+            self.chamfer.append(float(there.mean() + back.mean()) / 2)
+            self.f_score.append(
+                float(2 * recall * precision / (recall + precision)) if recall + precision else 0.0
+            )
 
     def metrics(self, errors: Floats) -> Metrics:
         """Compute the metrics of the block.
@@ -140,47 +141,6 @@ class MetricSums:
         out["pearson_r"] = total["ab"] / size if size > 0 else None
         out["chamfer_m"], out["f_score"] = float(np.mean(self.chamfer)), float(np.mean(self.f_score))
         return out
-
-
-@kernel
-def _compare_end_points(
-    measured: Any, value: Any, scored: Any, bearings: Any, match: float, chamfer: Any, f_score: Any
-) -> None:
-    """Fill chamfer and f-score (n_scans,) of scans whose rays are sorted by bearing."""
-    for i in range(len(measured)):
-        n = 0
-        total, recall, precision = 0.0, 0.0, 0.0
-        for j in range(len(bearings)):
-            if scored[i, j]:
-                there = _nearest(measured[i, j], j, value[i], scored[i], bearings)
-                back = _nearest(value[i, j], j, measured[i], scored[i], bearings)
-                n += 1
-                total += there + back
-                recall += there <= match
-                precision += back <= match
-        if n:
-            chamfer[i] = total / (2 * n)
-            f_score[i] = 2 * recall * precision / (recall + precision) / n if recall + precision > 0 else 0.0
-
-
-@inner_kernel
-def _nearest(r: Any, j: Any, others: Any, scored: Any, bearings: Any) -> Any:
-    """Return the distance of the end point at range r of ray j to the nearest end point among `others`.
-
-    A ray at `angle` from ray j passes the end point at a distance r sin(angle), or r beyond a right angle. Neighbours
-    are tried outwards on both sides until even their rays pass farther away than the nearest end point so far.
-    """
-    n, nearest = len(bearings), abs(others[j] - r)
-    for sign in (-1, 1):
-        for step in range(1, n):
-            k = (j + sign * step) % n
-            angle = (sign * (bearings[k] - bearings[j])) % (2 * math.pi)
-            if angle > math.pi or r * math.sin(min(angle, math.pi / 2)) >= nearest:
-                break
-            if scored[k]:
-                other = others[k]
-                nearest = min(nearest, math.sqrt((r - other) ** 2 + 4 * r * other * math.sin(angle / 2) ** 2))
-    return nearest
 
 
 @dataclass(kw_only=True, eq=False)

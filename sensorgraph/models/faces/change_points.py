@@ -98,7 +98,7 @@ def sorted_crossings(
     face: Ints, t: Floats, stop: Floats, weight: Floats, error: Floats, n_faces: int
 ) -> Crossings:
     """Sort crossings (n,) by face, then by abscissa."""
-    order = np.lexsort((t, face))
+    order = np.lexsort((t, face.astype(np.min_scalar_type(n_faces))))  # numpy sorts 16 bits by radix
     bounds = np.searchsorted(face[order], np.arange(n_faces + 1))
     return Crossings(t[order], stop[order], weight[order], error[order], bounds)
 
