@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from logs.run import Run
     from sensorgraph.evaluation.evaluate import Evaluation
     from sensorgraph.evaluation.metrics import Metrics
-    from sensorgraph.graph import Sensorgraph
     from sensorgraph.models.base import Point
 
 ROWS = (
@@ -104,6 +103,7 @@ def evaluate(
         with_poses_of_graph,
         write_json,
     )
+    from sensorgraph.cli.messages import print_warnings
     from sensorgraph.errors import SensorgraphError
     from sensorgraph.evaluation.evaluate import evaluate as evaluate_graph
     from sensorgraph.graph import Sensorgraph
@@ -134,23 +134,9 @@ def evaluate(
         )
         write_json(json, result.to_dict() | extra)
     print_log_notes(log)
-    _warn_if_another_place(model, result)
+    print_warnings(result.warnings)
     written = [] if json is None else [f"wrote {json}"]
     typer.echo("\n".join([*table(result, simulator, others), *written]))
-
-
-def _warn_if_another_place(model: Sensorgraph, result: Evaluation) -> None:
-    """Warn if the surfaces of a graph and the readings do not belong together."""
-    from sensorgraph.models.faces.model import Faces
-    from sensorgraph.world.orientation import MAX_MEDIAN_ERROR
-
-    median = result.answered_only["median_m"]
-    if isinstance(model.model, Faces) and median is not None and median > MAX_MEDIAN_ERROR:
-        typer.echo(
-            f"warning: the graph fits the run badly (median error {median:.2f} m): check that it is the graph of this place, that "
-            "the poses are in its frame, and that poses and scans share a clock",
-            err=True,
-        )
 
 
 def _simulator(result: Evaluation, run: Run, effects: Path, point: Point | None) -> dict[str, Metrics]:

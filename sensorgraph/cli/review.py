@@ -70,6 +70,7 @@ def review(
         with_poses,
         with_poses_of_graph,
     )
+    from sensorgraph.cli.messages import print_warnings
     from sensorgraph.cli.progress import progress
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import arena_in, load_arena
@@ -98,6 +99,7 @@ def review(
         progress=noted(progress, log),
     )
     print_log_notes(log)
+    print_warnings([] if written.evaluation is None else written.evaluation.warnings)
     typer.echo(f"{written.pairing}; {len(written.shown):,} scans shown")
     typer.echo(f"wrote {out}; open it with: rerun {out}")
     if show:

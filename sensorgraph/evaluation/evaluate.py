@@ -23,7 +23,9 @@ from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums, Reliab
 from sensorgraph.graph import POSES_AT_A_TIME, Sensorgraph
 from sensorgraph.intake import check_jumps
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
+from sensorgraph.models.faces.model import Faces
 from sensorgraph.types import Bools, Floats, Ints, Progress
+from sensorgraph.world.orientation import MAX_MEDIAN_ERROR
 from sensorgraph.world.ray_order import bearings_text, ray_order
 from sensorgraph.world.simulate import SCANS_PER_STEP
 
@@ -74,6 +76,17 @@ class Evaluation:
         square = np.where(np.isfinite(self.residual), self.residual**2, 0.0).sum(axis=0)
         count = np.isfinite(self.residual).sum(axis=0)
         return np.sqrt(np.where(count > 0, square / np.maximum(count, 1), np.nan))
+
+    @property
+    def warnings(self) -> list[str]:
+        """A warning if the surfaces of the graph and the readings of the run do not belong together; otherwise nothing."""
+        median = self.answered_only["median_m"]
+        if not isinstance(self.graph.model, Faces) or median is None or median <= MAX_MEDIAN_ERROR:
+            return []
+        return [
+            f"the graph fits the run badly (median error {median:.2f} m): check that it is the graph of this place, that the "
+            "poses are in its frame, and that poses and scans share a clock"
+        ]
 
     def __repr__(self) -> str:
         """Summarise the number of scored rays and the metrics in a few lines."""

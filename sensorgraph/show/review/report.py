@@ -37,6 +37,7 @@ def report(review: Review) -> str:
             "No sensorgraph was given. Build one and give it with `--graph` to see its errors on this run.",
         ]
         return "\n".join(lines)
+    lines += [f"\n**Warning**: {line}." for line in review.evaluation.warnings]
     lines += ["", "| | all rays | answered |", "|---|---|---|", *_rows(review.held_out or review.evaluation)]
     lines += ["", f"*{_training(review, review.graph)}*"]
     lines += ["", *_cells_and_next_drive(review.cells)]
