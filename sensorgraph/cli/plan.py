@@ -278,7 +278,6 @@ def _located(
 
 def _summary(report: dict[str, Any]) -> str:
     """Return the result of a plan as one line."""
-    hours, minutes = divmod(round(report["drive_time_s"] / 60), 60)
     joins = report["joins"]
     failed = f", {joins['failed']} failed" if joins["failed"] else ""
     by_wavefront = f", {joins['flooded']} by a wavefront search" if joins["flooded"] else ""
@@ -286,21 +285,31 @@ def _summary(report: dict[str, Any]) -> str:
     views = f"{len(report['views']) - joins['failed']:,} views, " if "views" in report else ""
     return (
         f"{views}{report['covered_cells']:,} of {report['reachable_cells']:,} (x, y, phi) bins "
-        f"({100 * report['coverage']:.2f} %{before}) in {hours} h {minutes:02d} min and {report['path_m']:.0f} m, "
-        f"{report['ratio']:.2f} of the reference time{_above(report)}; joins: {joins['direct']:,} straight, "
+        f"({100 * report['coverage']:.2f} %{before}) in {_hours(report['drive_time_s'])}{_least(report)} and "
+        f"{report['path_m']:.0f} m, {report['ratio']:.2f} of the reference time; joins: {joins['direct']:,} straight, "
         f"{joins['planned']} by OMPL{by_wavefront}{failed}; clearance {report['min_clearance_m']:.3f} m, "
         f"the margin leaves {100 * report['share_of_bare_footprint']:.1f} % of the cells reachable; "
         f"planned in {report['planning_s']:.1f} s"
     )
 
 
-def _above(report: dict[str, Any]) -> str:
-    """Return the excess over the lower bound of the time, for a complete first plan of a robot that turns in place."""
+def _least(report: dict[str, Any]) -> str:
+    """Return the least time of turns and straight moves, for a complete first plan of a robot that turns in place.
+
+    A plan that is faster has the bound of any drive, by its number of logged poses.
+    """
     bound, is_cut = report["lower_bound_s"], "budget_s" in report or report.get("interrupted", False)
     covers = report["planner"] in ("coverage", "stop_and_spin") and report["robot"]["drive"] == "diff"
     if bound <= 0 or is_cut or not covers or report["coverage_before"]:
         return ""
-    return f", at most {100 * (report['drive_time_s'] / bound - 1):.0f} % longer than the best drive of turns and straight moves"
+    if bound <= (report["covered_cells"] - 1) / report["rate"]:
+        return " (turns on the spot and straight moves take longer)"
+    return f" (turns on the spot and straight moves take at least {_hours(bound)})"
+
+
+def _hours(seconds: float) -> str:
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02d} min"
 
 
 def _runs(report: dict[str, Any]) -> list[str]:
