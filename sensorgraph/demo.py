@@ -17,12 +17,12 @@ from planners import Plan
 from planners import plan as make_plan
 from planners.arena import Arena
 from planners.coverage import Coverage
-from planners.maps import geojson
 from planners.planning import WALL_MARGIN
 from sensorgraph.building.build import build
 from sensorgraph.demo_effect import HiddenEffect, hide_and_find
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
+from sensorgraph.loading import attachments_of
 from sensorgraph.other_process import OtherProcess
 from sensorgraph.planning.plan_folder import counted, save
 from sensorgraph.recording.record import record
@@ -203,7 +203,7 @@ def check_run(
     return Run(
         sensor=robot.sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses, epoch_ns=EPOCH_NS,
         meta={"source": "check.mcap", "simulated": "true"},
-        attachments={"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()},
+        attachments=attachments_of(arena, robot),
     )  # fmt: skip
 
 

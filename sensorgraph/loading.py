@@ -177,6 +177,12 @@ def _robot_of(text: bytes | None, name: str) -> Robot | None:
     return None if text is None else parse_robot(text.decode(errors="replace"), name=f"robot.yaml in {name}")
 
 
+def attachments_of(arena: Arena | None, robot: Robot | None) -> dict[str, bytes]:
+    """Return the files by which a run or a plan keeps its arena and robot, which `arena_in` and `robot_in` read."""
+    kept = {} if arena is None else {"arena.geojson": geojson.dumps(arena).encode()}
+    return kept if robot is None else {**kept, "robot.yaml": robot.text.encode()}
+
+
 def robot_for(run: Run, source: Robot | str | Path | None = None) -> Robot:
     """Return a robot, else the one kept in the run, else defaults; values that it does not state are the run's.
 

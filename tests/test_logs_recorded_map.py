@@ -17,7 +17,8 @@ from planners.errors import PlanError
 from planners.maps.ros_map import of_grid
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.loading import load_arena
+from sensorgraph.loading import arena_in, attachments_of, load_arena, robot_in
+from sensorgraph.world.robot import default_robot
 
 ROOM = np.full((8, 12), -1)
 ROOM[1:7, 1:11] = 100
@@ -93,3 +94,12 @@ def test_commands_say_which_map_they_took(tmp_path: Path, capsys: pytest.Capture
     assert cli(["inspect", str(path), "--arena", str(path)]) == 0
     assert "12 x 8 cells of 0.5 m, 33.3 % free" in capsys.readouterr().out
     assert cli(["locate", str(path), "--arena", str(path)]) == 2  # three scans
+
+
+def test_arena_and_robot_that_a_run_keeps_are_read_back() -> None:
+    arena, robot = load_arena("square"), default_robot()
+    run = replace(some_run(), attachments=attachments_of(arena, robot))
+    kept, machine = arena_in(run), robot_in(run)
+    assert kept is not None and machine is not None
+    np.testing.assert_array_equal(kept.walls, arena.walls)
+    assert machine.text == robot.text and set(attachments_of(arena, None)) == {"arena.geojson"}

@@ -187,8 +187,7 @@ def _coverage_text(coverage: PlanCoverage | None, knows_place: bool) -> str:
 
 def _attachments(plan: Path | None, arena: str | None, robot: Path | None) -> dict[str, bytes]:
     """Return the attachments of the run: the given arena and robot, else those of the plan, and plan.json."""
-    from planners.maps import geojson
-    from sensorgraph.loading import load_arena
+    from sensorgraph.loading import attachments_of, load_arena
     from sensorgraph.recording.drive_source import open_drive
     from sensorgraph.world.robot import load_robot
 
@@ -196,11 +195,7 @@ def _attachments(plan: Path | None, arena: str | None, robot: Path | None) -> di
     out = {} if source is None else source.attachments()
     walls = load_arena(arena) if arena is not None else source.arena() if source is not None else None
     machine = load_robot(robot) if robot is not None else source.robot() if source is not None else None
-    if walls is not None:
-        out["arena.geojson"] = geojson.dumps(walls).encode()
-    if machine is not None:
-        out["robot.yaml"] = machine.text.encode()
-    return out
+    return {**out, **attachments_of(walls, machine)}
 
 
 @contextmanager

@@ -18,10 +18,11 @@ import numpy as np
 import logs
 from logs.run import Run
 from planners.arena import Arena
-from planners.maps import geojson, load
+from planners.maps import load
 from planners.trajectory import Trajectory
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.loading import attachments_of
 from sensorgraph.recording.drive_source import open_drive
 from sensorgraph.types import Floats, Progress, ProgressBars, no_progress
 from sensorgraph.world.drive import (
@@ -148,7 +149,7 @@ def drive_twin(
             out.append(draw_readings(scene, rng))
         return np.concatenate(out)
 
-    kept = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()}
+    kept = attachments_of(arena, robot)
     with progress("scanning", "scans") as tick:
         return simulate(
             driven, arena, robot, rng=rng, seed=seed, drivetrain=drivetrain, perceive=perceive, attachments=kept,

@@ -21,8 +21,8 @@ from planners.coverage import Coverage
 from planners.curve import Curve
 from planners.export import commands_csv, stops_yaml
 from planners.holes import holes_csv
-from planners.maps import geojson
 from sensorgraph.files import write_timing
+from sensorgraph.loading import attachments_of
 from sensorgraph.show.figures.headings import headings_picture
 from sensorgraph.show.figures.plan import plan_picture, reach_picture
 from sensorgraph.types import Floats
@@ -35,8 +35,7 @@ RUN_FILES = ("trajectory.csv", "cmd_vel.csv", "waypoints.yaml", "plan.mcap", "pl
 def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
     """Write a plan with its arena and robot into a folder; each file is written completely or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
-    kept = {"arena.geojson": geojson.dumps(arena), "robot.yaml": robot.text}
-    attached = {name: text.encode() for name, text in kept.items()}
+    attached = attachments_of(arena, robot)
     grid = coverage_map(plan.coverage)
     _save_drive(folder, plan.curve, plan.stops, grid, occupancy_map(arena), attached)
     plan_picture(plan, arena, folder / "plan.png")
@@ -44,7 +43,7 @@ def save(plan: Plan, folder: Path, arena: Arena, robot: Robot) -> None:
     headings_picture(plan, arena, folder / "headings.png")
     left_out = holes_csv(plan.coverage, plan.reach, plan.lost)
     repeated = plan.report | {"planning_s": 0.0}  # the key is documented; the time is in timing.json
-    _write(folder, kept | {"holes.csv": left_out, "plan.json": _json(repeated)})
+    _write(folder, attached | {"holes.csv": left_out.encode(), "plan.json": _json(repeated)})
     write_timing(folder, {"planning_s": plan.report["planning_s"]})
     logged = np.zeros((0, 3))
     for number, run in enumerate(plan.sessions):
@@ -88,20 +87,20 @@ def _save_drive(
     _write(
         folder,
         {
-            "waypoints.yaml": stops_yaml(curve, stops, trajectory.poses[-1]),
-            "cmd_vel.csv": commands_csv(curve),
+            "waypoints.yaml": stops_yaml(curve, stops, trajectory.poses[-1]).encode(),
+            "cmd_vel.csv": commands_csv(curve).encode(),
         },
     )
 
 
-def _write(folder: Path, texts: dict[str, str]) -> None:
-    for name, text in texts.items():
+def _write(folder: Path, files: dict[str, bytes]) -> None:
+    for name, content in files.items():
         with atomic_file(folder / name) as part:
-            part.write_text(text, encoding="utf-8")
+            part.write_bytes(content)
 
 
-def _json(report: dict[str, Any]) -> str:
-    return json.dumps(report, indent=1) + "\n"
+def _json(report: dict[str, Any]) -> bytes:
+    return (json.dumps(report, indent=1) + "\n").encode()
 
 
 def _report_of_run(plan: Plan, number: int) -> dict[str, Any]:

@@ -17,12 +17,12 @@ import logs
 from logs.run import RangeSensor, Run
 from logs.transforms import compose
 from planners.arena import Arena, wrap
-from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.intake import check_rays
+from sensorgraph.loading import attachments_of
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.models.narmax.drawing import DrawnRun
 from sensorgraph.models.narmax.model import RayNarmax
@@ -228,7 +228,7 @@ def record_in_world(
         run = simulate(
             driven, arena, robot, rng=np.random.default_rng([world.seed, 3]), perceive=world.scans,
             meta={**meta, **({"graph": name} if name else {}), "controller": controller},
-            attachments={"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()},
+            attachments=attachments_of(arena, robot),
             progress=tick,
         )  # fmt: skip
     with progress("writing", "messages") as tick:

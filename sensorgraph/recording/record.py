@@ -11,10 +11,10 @@ import numpy as np
 import logs
 from logs.run import Run
 from planners.arena import Arena
-from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effects_file import check_places, dumps
+from sensorgraph.loading import attachments_of
 from sensorgraph.types import Floats, ProgressBars, no_progress
 from sensorgraph.world.drive import ExecutedDrive, follow, replay
 from sensorgraph.world.drivetrain import Drivetrain
@@ -72,7 +72,7 @@ def record(
                 drivetrain=drivetrain,
                 progress=tick,
             )
-    kept = {"arena.geojson": geojson.dumps(arena).encode(), "robot.yaml": robot.text.encode()}
+    kept = attachments_of(arena, robot)
     meta = {"simulated": "true", "seed": str(seed), "contacts": str(driven.contacts)}
     if effects:
         kept["effects.yaml"] = dumps(effects).encode()

@@ -25,7 +25,6 @@ from planners.arena import Arena
 from planners.check import check
 from planners.curve import Curve
 from planners.errors import PlanError
-from planners.maps import geojson
 from planners.trajectory import Trajectory
 from sensorgraph.diagnosis.next_run.drives import (
     SWEEP_ANGLE,
@@ -43,6 +42,7 @@ from sensorgraph.diagnosis.next_run.forecast import (
     OpenQuestion,
     planned_scans,
 )
+from sensorgraph.loading import attachments_of
 from sensorgraph.types import Floats
 from sensorgraph.world.raycast import cast_laser
 from sensorgraph.world.robot import Robot
@@ -102,14 +102,10 @@ class NextRun:
         """Write a folder for `sensorgraph record`: trajectory.csv, plan.json, arena and robot."""
         folder.mkdir(parents=True, exist_ok=True)
         self.trajectory.write_csv(folder / "trajectory.csv")
-        texts = {
-            "arena.geojson": geojson.dumps(arena),
-            "robot.yaml": robot.text,
-            "plan.json": json.dumps({"planner": "next_run", **self.to_dict()}, indent=1) + "\n",
-        }
-        for name, text in texts.items():
+        report = json.dumps({"planner": "next_run", **self.to_dict()}, indent=1) + "\n"
+        for name, content in {**attachments_of(arena, robot), "plan.json": report.encode()}.items():
             with atomic_file(folder / name) as part:
-                part.write_text(text, encoding="utf-8")
+                part.write_bytes(content)
 
 
 def next_run(
