@@ -12,7 +12,7 @@ from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.matching import START_OFFSET, match
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import GLOBAL_SEARCH
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 
 POINTS = 160
 """Maximum number of points of a view; a quick search finds places with half of them, and evaluates these with all."""
@@ -86,6 +86,8 @@ class GlobalPlaces:
     """(n,) Share of the points in unobserved space."""
     min_seen: float = GLOBAL_SEARCH.min_seen
     """Parameter of `fits`."""
+    margin: float = RIVAL_MARGIN
+    """Standard error of `fits`."""
     last_fit: float = 0.0
     """Best `fit_of` the last scan alone at the first place and its rivals; 0 if it does not fit or was not
     evaluated."""
@@ -107,15 +109,20 @@ class GlobalPlaces:
         return float(fits[0] - fits[1:].max()) if len(fits) > 1 else np.inf
 
     @property
-    def rivals(self) -> Floats:
-        """(n, 3) Other places that cannot be ruled out; empty if the first place is unique.
+    def is_rival(self) -> Bools:
+        """(n - 1,) Which of the places after the first cannot be ruled out.
 
         A place that fits as well as the first is a rival even if its rays are less likely. Rays that all pass
         one opened door, or leave the map, are one deviation, not many.
         """
         fits = self.fits
-        can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (fits >= fits[:1] - RIVAL_MARGIN)
-        return self.poses[1:][can_be[1:]]
+        can_be = (self.probabilities > GLOBAL_SEARCH.rival_probability) | (fits >= fits[:1] - self.margin)
+        return can_be[1:]
+
+    @property
+    def rivals(self) -> Floats:
+        """(n, 3) Other places that cannot be ruled out; empty if the first place is unique."""
+        return self.poses[1:][self.is_rival]
 
 
 def fit_of(agreement: float, hidden: float, unseen: float, min_seen: float = GLOBAL_SEARCH.min_seen) -> float:
@@ -137,16 +144,19 @@ def _fits(agreements: Floats, hidden: Floats, unseen: Floats, min_seen: float) -
     return np.array([fit_of(*of_place, min_seen) for of_place in shares])
 
 
-def local_view(scans: ScanPoints, chosen: Ints, poses: Floats) -> LocalView:
+def local_view(
+    scans: ScanPoints, chosen: Ints, poses: Floats, *, points_per_scan: int | None = None
+) -> LocalView:
     """Join scans into a view in the frame of the last one, and thin it.
 
     Parameters
     ----------
     chosen : (n,) Scans.
     poses : (n, 3) Their poses in one frame, accurate relative to each other.
+    points_per_scan : Maximum number of points of each scan. None: `POINTS` of the view, or `MIN_POINTS` of each scan.
     """
     last = None if len(chosen) == 1 else local_view(scans, chosen[-1:], poses[-1:])
-    most = max(POINTS // len(chosen), MIN_POINTS)
+    most = max(POINTS // len(chosen), MIN_POINTS) if points_per_scan is None else points_per_scan
     parts: tuple[list[Floats], list[Floats], list[Floats]] = ([], [], [])
     for scan, (x, y, phi) in zip(chosen, compose(invert(poses[-1]), poses), strict=True):
         own = np.arange(scans.first[scan], scans.first[scan + 1])
@@ -184,14 +194,19 @@ def find_places(view: LocalView, place: KnownMap, *, window: SearchWindow | None
     return other if other.fit > found.fit else found
 
 
+def quick_places(view: LocalView, place: KnownMap) -> GlobalPlaces:
+    """Return the possible places of all scans of a view together in the whole map, by a quick search of few places."""
+    points = view.points[evenly(len(view.points), POINTS // 2)]
+    modes = _modes(points, place, None, QUICK)
+    return _judged(modes, view, place, GLOBAL_SEARCH.min_seen_anywhere, QUICK)
+
+
 def joint_fit(view: LocalView, place: KnownMap) -> tuple[float, Floats]:
     """Return the best fit of all scans of a view together in the whole map, and its pose (3,).
 
-    It is a quick search of few places. Without a place, the fit is 0 and the pose nan.
+    Without a place, the fit is 0 and the pose nan.
     """
-    points = view.points[evenly(len(view.points), POINTS // 2)]
-    modes = _modes(points, place, None, QUICK)
-    found = _judged(modes, view, place, GLOBAL_SEARCH.min_seen_anywhere, QUICK)
+    found = quick_places(view, place)
     return (found.fit, found.poses[found.fits.argmax()]) if len(found.poses) else (0.0, np.full(3, np.nan))
 
 

@@ -18,6 +18,7 @@ from sensorgraph.localization.matching import CORRELATION
 from sensorgraph.localization.moving_returns import with_motion_of_scans
 from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, interval_notes
+from sensorgraph.localization.rival_places import rivals_of_drives
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FRONT_END, GLOBAL_SEARCH, MAP_TRACKING
@@ -68,6 +69,8 @@ def locate_in_map(
         fit = _rivals_fit(scans, steps, place, found.rivals)
         if fit < GLOBAL_SEARCH.accept_fit:
             raise SensorgraphError(_no_fit(run, place, max(fit, found.best_fit), name))
+    with progress("comparing with other places", "scans") as tick:
+        is_rivalled, others = rivals_of_drives(found, tick)
     poses = _filled(found, steps)
     with progress("smoothing", "scans") as tick:
         start = _smoothed(poses, steps, found.breaks, found.poses, found.information)[0]
@@ -75,7 +78,7 @@ def locate_in_map(
         matches = rematch(scans, start, place, tick)
     poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information)
     covariances = covariances + _map_error(matches, steps.noise)
-    status = _status(run.stamps, matches.information, found)
+    status = _status(run.stamps, matches.information, found, is_rivalled)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
     if 2 * sum(word == "ok" for word in status) < run.n_scans:
         text = f"most scans are not located: at best, a short drive fits {name} to {100 * fit:.0f} %, as parts of another building may"
@@ -88,7 +91,7 @@ def locate_in_map(
         covariances=covariances,
         status=status,
         wheels=wheels,
-        rivals=found.rivals,
+        rivals=found.rivals | others,
         notes=(*notes, *contrast, *followed.notes, *interval_notes(run.stamps, status, "lost", "ambiguous")),
         sensor=followed.run.sensor,
     )
@@ -152,8 +155,8 @@ def _filled(found: MapTracker, steps: ScanTrack) -> Floats:
     return poses
 
 
-def _status(stamps: Floats, information: Floats, found: MapTracker) -> tuple[Status, ...]:
-    """Return the status of each scan: ok if it fits the map or is close in time to one that does."""
+def _status(stamps: Floats, information: Floats, found: MapTracker, is_rivalled: Bools) -> tuple[Status, ...]:
+    """Return the status of each scan: ok if it fits the map, or is close in time to one that does, on a drive without rivals."""
     good = np.flatnonzero(information.any(axis=(1, 2)))
     is_ok = np.zeros(len(stamps), dtype=np.bool_)
     if len(good):
@@ -161,7 +164,8 @@ def _status(stamps: Floats, information: Floats, found: MapTracker) -> tuple[Sta
         before = good[np.clip(np.searchsorted(good, np.arange(len(stamps)), side="right") - 1, 0, None)]
         near = np.minimum(np.abs(stamps[after] - stamps), np.abs(stamps - stamps[before]))
         is_ok = (near <= FRONT_END.patience) & np.isfinite(found.poses[:, 0])
-    is_ambiguous = _ambiguous(is_ok, found)
+    is_ambiguous = _ambiguous(is_ok, found) | is_rivalled
+    is_ok &= ~is_rivalled
     words: dict[bool, Status] = {True: "ambiguous", False: "lost"}
     return tuple("ok" if ok else words[bool(a)] for ok, a in zip(is_ok, is_ambiguous, strict=True))
 
