@@ -13,11 +13,12 @@ from localization_samples import ROOM, room_run, timed
 
 from planners.arena import Arena
 from planners.maps import geojson, ros_map
-from sensorgraph.localization.arena_walls import STEP, drawn_walls, straight_walls
+from sensorgraph.localization.arena_walls import drawn_walls, straight_walls
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import MapWalls
 from sensorgraph.localization.locate import walls_of_place
 from sensorgraph.types import Floats
+from sensorgraph.world.wall_sides import STEP
 
 THIN = [(4.95, 0.0), (5.05, 0.0), (5.05, 2.2), (4.95, 2.2)]
 """A partition of 10 cm with a free end."""

@@ -8,9 +8,10 @@ from planners.arena import Arena
 from planners.types import SAME_PLACE
 from sensorgraph.effects.effect import Amendment, Diagnostics, Effect, Parameter
 from sensorgraph.effects.interfaces import CornerShift
-from sensorgraph.effects.places import outward, walls_of
+from sensorgraph.effects.places import walls_of
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.scene import Scene
+from sensorgraph.world.wall_sides import outward
 
 
 def transform(scene: Scene, a: Amendment) -> None:

@@ -96,16 +96,6 @@ def ends_of_part(what: str) -> tuple[Parameter, Parameter]:
     return end("a", f"start of {what}, along the wall from its first end"), end("b", f"end of {what}")
 
 
-def outward(arena: Arena, indices: Ints) -> Floats:
-    """Return the unit normals (n, 2) of walls, pointing away from free space."""
-    a, b = arena.walls[indices].swapaxes(0, 1)
-    ahead = b - a
-    ahead /= np.maximum(np.hypot(ahead[:, 0], ahead[:, 1]), 1e-12)[:, None]
-    normals = np.column_stack([ahead[:, 1], -ahead[:, 0]])
-    inward = arena.contains((a + b) / 2 + 1e-3 * normals)
-    return np.where(inward[:, None], -normals, normals)
-
-
 def seen_without(walls: Floats, hidden: Ints, beams: Beams, some: Bools) -> Floats:
     """Return the ranges (n,) [m] of rays `some` without some walls."""
     ox, oy = (np.broadcast_to(o, beams.ranges.shape)[some] for o in (beams.ox, beams.oy))

@@ -26,8 +26,8 @@
     Covariances of the poses: from a bootstrap of the residuals, and along directions that scans do not determine.
 `mapping`, `map_states`
     `map_run`: the whole pipeline for a run in a new place; its maps, and the status of its scans.
-`in_map`, `map_check`, `map_tracking`
-    A run in a known place: first look, search, track, recover, smooth.
+`in_map`, `map_check`, `map_tracking`, `rival_places`
+    A run in a known place: first look, search, track, recover, compare with other places, smooth.
 `known_map`, `arena_walls`, `graph_walls`, `global_search`
     A known map as lines, fields and ray tests; walls of an arena, and of a sensorgraph with its observed space; global search
     for a view.

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from planners.arena import Arena
-from planners.groups import members
-from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.types import Floats
 from sensorgraph.world.pixel_walls import is_raster, pixel_of, straightened
+from sensorgraph.world.wall_sides import BESIDE, WallPieces
 
-BESIDE = 1e-3
-"""[m] Distance from a drawn wall at which its sides are tested for free space."""
 NARROW = 0.05
 """[m] Width of gaps, as between two drawn walls, into which no ray is expected to pass."""
-STEP = 0.02
-"""[m] Maximum length of the pieces of a wall that are tested."""
 
 
 def drawn_walls(arena: Arena) -> tuple[Floats, Floats]:
@@ -26,7 +19,7 @@ def drawn_walls(arena: Arena) -> tuple[Floats, Floats]:
     A normal is 0, 0 where both sides are free. Parts without a free side are left out, such as the back of a wall at
     the outline, or what another wall covers: no ray meets them.
     """
-    some = _Pieces.of(arena, (BESIDE, NARROW))
+    some = WallPieces.of(arena, (BESIDE, NARROW))
     side = some.left + 2 * some.right
     first = np.flatnonzero(np.diff(some.wall, prepend=-1) | np.diff(side, prepend=-1))
     last = np.append(first[1:], len(side)) - 1
@@ -50,39 +43,6 @@ def straight_walls(arena: Arena) -> tuple[Floats, Floats] | None:
     straight, _ = straightened(arena)
     if not straight.n_walls:
         return None
-    some = _Pieces.of(straight, (pixel_of(arena),))
+    some = WallPieces.of(straight, (pixel_of(arena),))
     left, right = (np.bincount(some.wall, side, straight.n_walls) > 0 for side in (some.left, some.right))
     return straight.walls, (left.astype(np.float64) - right)[:, None] * some.normals
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Pieces:
-    """Pieces of the walls of an arena, and the free space next to them."""
-
-    wall: Ints
-    """(n,) Wall of each piece."""
-    rank: Ints
-    """(n,) Number of the piece in its wall."""
-    count: Ints
-    """(n,) Number of pieces of its wall."""
-    left: Bools
-    """(n,) The side of the normal is free."""
-    right: Bools
-    """(n,) The other side is free."""
-    normals: Floats
-    """(n_walls, 2) Unit normals of the walls."""
-
-    @classmethod
-    def of(cls, arena: Arena, beside: Sequence[float]) -> _Pieces:
-        """Cut the walls; a side is free if the points at all distances `beside` [m] from its middle are."""
-        ahead = np.diff(arena.walls, axis=1)[:, 0]
-        length = np.hypot(*ahead.T)
-        normals = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.maximum(length, BESIDE)[:, None]
-        counts = np.ceil(length / STEP).astype(np.intp)
-        wall, rank = members(counts)
-        middle = arena.walls[wall, 0] + ((rank + 0.5) / counts[wall])[:, None] * ahead[wall]
-        left, right = (
-            np.all([arena.contains(middle + sign * off * normals[wall]) for off in beside], axis=0)
-            for sign in (1, -1)
-        )
-        return cls(wall=wall, rank=rank, count=counts[wall], left=left, right=right, normals=normals)
