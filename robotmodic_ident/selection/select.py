@@ -45,8 +45,6 @@ class Selection:
     """(n_outputs,) residual sum of squares."""
     count: NDArray[np.int64]
     """(n_outputs,) number of rows."""
-    rcond: Floats
-    """(n_outputs,) smallest over largest pivot of the scaled factor; below 1e-7, the coefficients are unreliable."""
     stop: tuple[Stop, ...]
     """(n_outputs,) reason for the end: the criterion, or `exhausted` if no candidate term remained."""
 
@@ -108,7 +106,7 @@ def select(
     order = np.full((q, n_max), -1, dtype=np.intp)
     kept = np.zeros(q, dtype=np.intp)
     err, theta, inverse = np.zeros((q, n_max)), np.zeros((q, m)), np.zeros((q, n_max, n_max))
-    rss, rcond, stop = np.zeros(q), np.zeros(q), np.full(q, "", dtype=object)
+    rss, stop = np.zeros(q), np.full(q, "", dtype=object)
     for outputs, grams in moments.groups():
         cross, power = moments.cross[:, outputs], moments.power[outputs]
         path, size, why = size_search.path(
@@ -125,8 +123,6 @@ def select(
         inverse[outputs] = T * (used[:, :, None] & used[:, None, :])
         theta[outputs] = _coefficients(order[outputs], T, z, grams, cross)
         rss[outputs] = np.maximum(power - (z**2).sum(axis=1), 0.0)
-        pivots = np.abs(np.diagonal(factor, axis1=1, axis2=2)) / _column_norms(factor)
-        rcond[outputs] = np.where(used, pivots, 1.0).min(axis=1)
     return Selection(
         terms=moments.terms,
         scale=moments.scale or UNSCALED,
@@ -137,7 +133,6 @@ def select(
         inverse=inverse,
         rss=rss,
         count=moments.count.copy(),
-        rcond=rcond,
         stop=tuple(stop.tolist()),
     )
 
@@ -171,10 +166,6 @@ def _check(
         raise IdentError(
             f"no term {', '.join(sorted(absent))} to keep; expected names of the {len(moments.terms)} candidate terms"
         )
-
-
-def _column_norms(factor: Floats) -> Floats:
-    return np.asarray(np.sqrt((factor**2).sum(axis=1)), dtype=np.float64)
 
 
 def _coefficients(order: NDArray[np.intp], T: Floats, z: Floats, grams: Floats, cross: Floats) -> Floats:
