@@ -129,7 +129,7 @@ def test_straight_walls_of_cells_run_along_the_drawn_ones() -> None:
     assert straight_walls(office()) is None
     found = straight_walls(cells())
     assert found is not None
-    walls, normals = found
+    walls, normals = found.walls, found.normals
     true = shapely.MultiLineString(list(office().walls))
     length = np.hypot(*np.diff(walls, axis=1)[:, 0].T)
     long = length > 6 * CELL

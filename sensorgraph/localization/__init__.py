@@ -28,9 +28,9 @@
     `map_run`: the whole pipeline for a run in a new place; its maps, and the status of its scans.
 `in_map`, `map_check`, `map_tracking`, `rival_places`
     A run in a known place: first look, search, track, recover, compare with other places, smooth.
-`known_map`, `arena_walls`, `graph_walls`, `global_search`
-    A known map as lines, fields and ray tests; walls of an arena, and of a sensorgraph with its observed space; global search
-    for a view.
+`known_map`, `arena_walls`, `displaced_walls`, `graph_walls`, `global_search`
+    A known map as lines, fields and ray tests; walls of an arena, with the errors of those of cells, and of a sensorgraph with its
+    observed space; global search for a view.
 `likelihood_field`, `branch_and_bound`
     Likelihood of a return at each cell of a map, and the best poses of a scan in it.
 `smoothing`

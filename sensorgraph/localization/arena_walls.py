@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from planners.arena import Arena
+from sensorgraph.localization.displaced_walls import StraightWalls, straight_walls_of_grid
 from sensorgraph.types import Floats
-from sensorgraph.world.pixel_walls import is_raster, pixel_of, straightened
+from sensorgraph.world.pixel_walls import grid_axes, is_raster, pixel_of, straightened
 from sensorgraph.world.wall_sides import BESIDE, WallPieces
 
 NARROW = 0.05
@@ -32,8 +33,8 @@ def drawn_walls(arena: Arena) -> tuple[Floats, Floats]:
     return arena.walls[wall, :1] + ends[:, :, None] * ahead[wall], facing[:, None] * some.normals[wall]
 
 
-def straight_walls(arena: Arena) -> tuple[Floats, Floats] | None:
-    """Return the straight walls (n, 2, 2) [m, map] of an occupancy-grid map with their normals (n, 2).
+def straight_walls(arena: Arena) -> StraightWalls | None:
+    """Return the straight walls of an occupancy-grid map with their normals, and how far each can be displaced.
 
     None for a drawn arena, and where no cells are straight. Free space begins half a cell before a straight wall, and
     within a cell of every wall; the borders of its cells are no straight line.
@@ -45,4 +46,5 @@ def straight_walls(arena: Arena) -> tuple[Floats, Floats] | None:
         return None
     some = WallPieces.of(straight, (pixel_of(arena),))
     left, right = (np.bincount(some.wall, side, straight.n_walls) > 0 for side in (some.left, some.right))
-    return straight.walls, (left.astype(np.float64) - right)[:, None] * some.normals
+    normals = (left.astype(np.float64) - right)[:, None] * some.normals
+    return straight_walls_of_grid(straight.walls, normals, grid_axes(arena)[0], pixel_of(arena))

@@ -10,10 +10,11 @@ from logs.run import Run
 from logs.transforms import compose, distances_along, invert
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.contrast import contrast_notes
+from sensorgraph.localization.displaced_walls import StraightWalls, displacement_errors
 from sensorgraph.localization.global_search import evenly, fit_at, local_view
 from sensorgraph.localization.known_map import KnownMap, known_map
 from sensorgraph.localization.map_check import DRIVE_SCANS, best_fit, looks, mirrored
-from sensorgraph.localization.map_tracking import MapMatches, MapTracker, rematch
+from sensorgraph.localization.map_tracking import REMATCH_DEVIATIONS, MapMatches, MapTracker, rematch
 from sensorgraph.localization.matching import CORRELATION
 from sensorgraph.localization.moving_returns import with_motion_of_scans
 from sensorgraph.localization.ray_times import track_run
@@ -39,7 +40,7 @@ def locate_in_map(
     *,
     seen: SeenSpace | None = None,
     normals: Floats | None = None,
-    straight: tuple[Floats, Floats] | None = None,
+    straight: StraightWalls | None = None,
     name: str = "the map",
     progress: ProgressBars = no_progress,
 ) -> Localization:
@@ -77,7 +78,7 @@ def locate_in_map(
         start[np.isnan(found.poses[:, 0])] = np.nan
         matches = rematch(scans, start, place, tick)
     poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information)
-    covariances = covariances + _map_error(matches, steps.noise)
+    covariances = covariances + _map_error(matches, steps.noise, *_displacements(scans, matches, straight))
     status = _status(run.stamps, matches.information, found, is_rivalled)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
     if 2 * sum(word == "ok" for word in status) < run.n_scans:
@@ -110,17 +111,27 @@ def _smoothed(
     return result.poses, result.covariances
 
 
-def _map_error(matches: MapMatches, own_noise: Floats) -> Floats:
+def _displacements(
+    scans: ScanPoints, matches: MapMatches, straight: StraightWalls | None
+) -> tuple[Floats, Floats]:
+    """Return the covariances (n, 3, 3) and the scatter (n,) [m²] from walls displaced within their cells; otherwise 0."""
+    if straight is None:
+        return np.zeros((len(matches.poses), 3, 3)), np.zeros(len(matches.poses))
+    return displacement_errors(scans, matches.poses, matches.noise, straight, np.asarray(REMATCH_DEVIATIONS))
+
+
+def _map_error(matches: MapMatches, own_noise: Floats, displaced: Floats, scatter: Floats) -> Floats:
     """Return the covariances (n, 3, 3) added by errors of the map.
 
     Displaced walls scatter the returns. The position deviation `off` follows from
 
         off² = (map_share² · excess + (map_share_of_noise · own)²) / agreement²,
-        excess = max(max(noise, usual)² - own², 0).
+        excess = max(max(noise, usual)² - own² - scatter, 0).
 
     The scatter of a scan's returns around the map is `noise`, and its median is `usual`. The share of returns
     on walls is `agreement`. `own` is the median of `own_noise` (n,) [m], the scatter around the surfaces of
-    the preceding scans, but at most `usual`.
+    the preceding scans, but at most `usual`. Walls displaced within the cells of a map cause the covariances `displaced`
+    (n, 3, 3), which are added, and part of the scatter, `scatter` (n,) [m²].
 
     Smoothing does not reduce the map's errors, since neighbouring scans meet the same walls. Where a scan
     scatters more than usual, the map is worse there. Walls displaced as a whole cause no scatter; the term
@@ -130,13 +141,13 @@ def _map_error(matches: MapMatches, own_noise: Floats) -> Floats:
     s, noise, known = MAP_TRACKING, matches.noise, np.isfinite(matches.noise)
     usual = float(np.median(noise[known])) if known.any() else 0.0
     own = min(float(np.nanmedian(own_noise)), usual) if np.isfinite(own_noise).any() else usual
-    excess = np.maximum(np.fmax(noise, usual) ** 2 - own**2, 0.0)
+    excess = np.maximum(np.fmax(noise, usual) ** 2 - own**2 - scatter, 0.0)
     off = np.sqrt(s.map_share**2 * excess + (s.map_share_of_noise * own) ** 2)
     if known.any():
         at = np.arange(len(noise))
         off = off / np.interp(at, at[known], matches.agreement[known])
     variances = np.asarray(s.place_floor) ** 2 + (off[:, None] * [1.0, 1.0, s.map_turn]) ** 2
-    return np.asarray(variances[:, None, :] * np.eye(3))
+    return np.asarray(displaced + variances[:, None, :] * np.eye(3))
 
 
 def _filled(found: MapTracker, steps: ScanTrack) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planners.kernel import inner_kernel, kernel
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.branch_and_bound import MaxPyramid, SearchWindow
+from sensorgraph.localization.displaced_walls import StraightWalls
 from sensorgraph.localization.likelihood_field import (
     LikelihoodField,
     field_of_points,
@@ -45,8 +46,8 @@ class MapWalls(NamedTuple):
     """Observed space; None: everywhere."""
     normals: Floats | None = None
     """(n, 2) Unit normals from each wall to its observed side. None, or 0, 0: both sides match."""
-    straight: tuple[Floats, Floats] | None = None
-    """Walls (m, 2, 2) and normals (m, 2) of the same place that are more accurate but not complete, for the last match."""
+    straight: StraightWalls | None = None
+    """Walls of the same place that are more accurate but not complete, for the last match."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,7 +130,7 @@ def known_map(
     walls: Floats,
     seen: SeenSpace | None = None,
     normals: Floats | None = None,
-    straight: tuple[Floats, Floats] | None = None,
+    straight: StraightWalls | None = None,
 ) -> KnownMap:
     """Prepare a known map.
 
@@ -151,8 +152,8 @@ def known_map(
     surfaces = line_map(points, None if normals is None else normals[owner], facing=0.0)
     last = surfaces
     if straight is not None:
-        points, owner = points_with_owners(straight[0], SPACING)
-        last = line_map(points, straight[1][owner], facing=0.0)
+        points, owner = points_with_owners(straight.walls, SPACING)
+        last = line_map(points, straight.normals[owner], facing=0.0)
     return KnownMap(
         surfaces=surfaces,
         straight=last,

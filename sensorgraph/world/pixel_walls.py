@@ -66,7 +66,7 @@ def is_raster(arena: Arena) -> bool:
 
 def pixel_of(arena: Arena) -> float:
     """Return the width of a cell [m]: the common divisor of all gaps between the rows and columns of borders."""
-    ends = arena.walls.reshape(-1, 2) @ _axes(arena).T
+    ends = arena.walls.reshape(-1, 2) @ grid_axes(arena).T
     lines = [np.unique(np.round(ends[:, k], 6)) for k in (0, 1)]
     return float(
         reduce(_common_divisor, np.unique(np.round(np.concatenate([np.diff(at) for at in lines]), 6)))
@@ -80,7 +80,7 @@ def _common_divisor(a: float, b: float) -> float:
     return a
 
 
-def _axes(arena: Arena) -> Floats:
+def grid_axes(arena: Arena) -> Floats:
     """Return the directions of rows and columns of an occupancy-grid map, (2, 2) unit vectors; a map may be rotated."""
     x, y = arena.walls[0, 1] - arena.walls[0, 0]
     angle = (np.arctan2(y, x) + np.pi / 4) % (np.pi / 2) - np.pi / 4
@@ -96,7 +96,7 @@ def straightened(arena: Arena) -> tuple[Arena, float]:
     before the surface, along its normal. A chain of short segments that turn the same way is a round object;
     its walls follow the outline every `CURVE_STEP` pixels. Walls without adjacent free space are dropped.
     """
-    pixel, axes = pixel_of(arena), _axes(arena)
+    pixel, axes = pixel_of(arena), grid_axes(arena)
     cells = _along_grid(arena, axes)
     parts, is_gap = _parts_of_free(cells)
     free = shapely.union_all(parts[~is_gap])
