@@ -20,6 +20,7 @@ from sensorgraph.localization.likelihood_field import (
 )
 from sensorgraph.localization.line_map import LineMap, line_map
 from sensorgraph.localization.settings import KNOWN_MAP
+from sensorgraph.models.cells.grid import CellIndices, max_cells_met, traverse
 from sensorgraph.models.seen_space import SeenSpace
 from sensorgraph.types import Bools, Floats
 
@@ -178,6 +179,12 @@ def _judge(
     numbers: Floats,
     out: Floats,
 ) -> None:
+    longest = 0.0
+    for k in range(len(points)):
+        way_x, way_y = points[k, 0] - starts[k, 0], points[k, 1] - starts[k, 1]
+        longest = max(longest, np.sqrt(way_x * way_x + way_y * way_y))
+    n_cells = max_cells_met(longest, seen_resolution)
+    at, ends = np.empty((n_cells, 2), dtype=np.int64), np.empty(n_cells)
     for i in range(len(poses)):
         cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
         total, hidden, unseen = 0.0, 0.0, 0.0
@@ -197,7 +204,7 @@ def _judge(
             is_unobserved = (
                 value == 0.0
                 and seen.shape[0] > 0
-                and not is_ray_seen(seen, *_in_cells(x0, y0, x1, y1, seen_origin, seen_resolution))
+                and not _is_ray_seen(seen, *_in_cells(x0, y0, x1, y1, seen_origin, seen_resolution), at, ends)
             )
             if is_unobserved:
                 unseen += 1.0
@@ -259,15 +266,20 @@ def _meets_wall(values: NDArray[np.uint8], x0: float, y0: float, x1: float, y1: 
 
 
 @inner_kernel
-def is_ray_seen(cells: Bools, x0: float, y0: float, x1: float, y1: float) -> bool:
-    """Tell whether all cells along a ray, in cell units, are observed, by steps of half a cell."""
+def _is_ray_seen(
+    cells: Bools, x0: float, y0: float, x1: float, y1: float, at: CellIndices, ends: Floats
+) -> bool:
+    """Tell whether all cells that a ray, in cell units, crosses are observed.
+
+    Parameters
+    ----------
+    at, ends : (n, 2) and (n,) Space for the cells of the ray.
+    """
     dx, dy = x1 - x0, y1 - y0
-    n = int(2.0 * np.sqrt(dx * dx + dy * dy)) + 1
+    length = np.sqrt(dx * dx + dy * dy)
     nx, ny = cells.shape
-    for k in range(n + 1):
-        x, y = x0 + dx * (k / n), y0 + dy * (k / n)
-        if x < 0 or y < 0 or x >= nx or y >= ny:
-            return False
-        if not cells[int(x), int(y)]:
+    for k in range(traverse(x0, y0, dx / length, dy / length, length, 1.0, at, ends)):
+        i, j = at[k, 0], at[k, 1]
+        if i < 0 or j < 0 or i >= nx or j >= ny or not cells[i, j]:
             return False
     return True
