@@ -249,7 +249,7 @@ def race(arenas: dict[str, Arena], path: Path) -> None:
         lines[name] = {planner: one.growth() for planner, one in made.items()}
         done = made["coverage"].trajectory.duration
         print(
-            f"{name}: bins met after a quarter, half, three quarters and all of the {done / 60:.0f} min of the search"
+            f"{name}: bins visited after a quarter, half, three quarters and all of the {done / 60:.0f} min of the search"
         )
         for planner, (stamps, share) in lines[name].items():
             marks = np.interp(np.array([0.25, 0.5, 0.75, 1.0]) * done, stamps, share)
