@@ -27,7 +27,16 @@ def kernel(function: Function, **options: Any) -> Function:
     compiled: Any = numba.njit(cache=can_cache(), error_model="numpy", nogil=True, **options)(function)
     compile_ = compiled.compile  # Ctrl-C is deferred, because it would crash LLVM
     compiled.compile = lambda types: uninterrupted(lambda: compile_(types))
+    if choose := getattr(compiled, "get_call_template", None):  # how other kernels call it
+        compiled.get_call_template = lambda types, names: choose(tuple(map(_general, types)), names)
     return cast(Function, compiled)
+
+
+def _general(kind: Any) -> Any:
+    """Return the type of a call's argument, so that a kernel is compiled once for constants and all signed integers."""
+    types: Any = numba.types
+    kind = types.unliteral(kind)
+    return types.int64 if isinstance(kind, types.Integer) and kind.signed else kind
 
 
 def outer_kernel(function: Function) -> Function:

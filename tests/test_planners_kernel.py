@@ -7,9 +7,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, cast
 
+import numba
 import pytest
 from conftest import further
+
+from planners.kernel import kernel
 
 MODULE = """
 from planners.kernel import kernel
@@ -129,6 +133,18 @@ for kind in (options.DefaultOptions, *cpu.CPUTargetOptions.__mro__):
     for name in [name for name in vars(kind) if name == "_nrt"]:
         delattr(kind, name)
 """
+
+
+@kernel
+def doubled(x: int) -> int:
+    return 2 * x
+
+
+def test_kernels_that_pass_a_constant_or_any_signed_integer_call_one_compiled_kernel() -> None:
+    called, types = cast(Any, doubled), cast(Any, numba.types)
+    for kind in (types.literal(1), types.int32, types.int64):
+        called.get_call_template((kind,), {})
+    assert called.signatures == [(types.int64,)]
 
 
 @pytest.mark.slow
