@@ -290,5 +290,7 @@ def _with_room(nodes: _Cells, used: int) -> _Cells:
     if used < nodes.shape[0]:
         return nodes
     more = np.empty((2 * nodes.shape[0], nodes.shape[1]), dtype=np.int32)
-    more[: nodes.shape[0]] = nodes
+    for node in range(nodes.shape[0]):  # more[:n] = nodes would compile an error message for 3 s
+        for k in range(nodes.shape[1]):
+            more[node, k] = nodes[node, k]
     return more

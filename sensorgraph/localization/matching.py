@@ -179,7 +179,7 @@ def _match(
     out[0], out[1], out[2] = x, y, phi
     out[3], out[4], out[5], out[6], out[7], out[8] = sums[0], sums[1], sums[2], sums[1], sums[3], sums[4]
     out[9], out[10], out[11] = sums[2], sums[4], sums[5]
-    out[12:16] = sums[15:19]
+    out[12], out[13], out[14], out[15] = sums[15], sums[16], sums[17], sums[18]
 
 
 @inner_kernel

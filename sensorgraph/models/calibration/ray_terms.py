@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from planners.kernel import kernel, outer_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.types import Floats
 
 INCIDENCE_POWERS = ((1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (2, 2))
@@ -65,7 +65,7 @@ def _power_text(a: int, b: int) -> str:
     return " ".join(f"{x}^{p}" if p > 1 else x for x, p in powers if p > 0)
 
 
-@kernel
+@inner_kernel
 def incidence_terms(v: Any, q: Any, out: Any) -> Any:
     """Fill the terms of S in the order of `INCIDENCE_POWERS`; v and q are scalars, or arrays (n,) with `out` (7, n)."""
     out[0] = v

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.evidence import MIN_RANGE
 from sensorgraph.models.cells.grid import per_ray
@@ -141,10 +141,12 @@ def shape_mixtures(
             _, n = shape_mixture(r[p, q], w[p, q], sigma[p, q], n, reach, reliability, tails)
             order = np.argsort(r[p, q, :n])
             for values in (r[p, q], w[p, q], sigma[p, q]):
-                values[:n] = values[order]
+                kept = values[order]
+                for i in range(n):  # values[:n] = kept would compile an error message for 3 s
+                    values[i] = kept[i]
 
 
-@kernel
+@outer_kernel
 def fill_log_likelihoods(
     poses: Floats, bearings: Floats, table: CellTable, work: RayWork, reliability: Floats, tails: Floats,
     beyond: Any, ranges: Floats, range_min: float, out: Floats, supported: Bools,
