@@ -11,7 +11,7 @@ import numpy as np
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.localization.settings import CLOSURES, SCANS, UNKNOWN_NORMAL_LENGTH
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -125,7 +125,7 @@ def _block(
     starts = np.broadcast_to(rays[..., :2], points.shape)
     kept = np.zeros(used.shape, dtype=np.bool_)
     normals = np.zeros_like(points)
-    _normals(points, np.ascontiguousarray(starts), used, NEIGHBOURHOOD, SCANS.gap, normals)
+    _normals(points, np.array(starts, order="C"), used, NEIGHBOURHOOD, SCANS.gap, normals)
     _thin(points, used, SPACING, kept)
     return kept.sum(axis=1), points[kept], normals[kept], ranges[kept], starts[kept], np.nonzero(kept)[1]
 
@@ -153,7 +153,7 @@ def laser_rays(sensor: RangeSensor, stamps: Floats, motion: Motion | None, delay
     return compose(moved, np.broadcast_to(rays, moved.shape))
 
 
-@kernel
+@outer_kernel
 def _thin(points: Floats, used: Bools, spacing: float, kept: Bools) -> None:
     """Keep a point unless it is near the previously kept point of the scan."""
     n_scans, n_rays = used.shape
@@ -171,7 +171,7 @@ def _thin(points: Floats, used: Bools, spacing: float, kept: Bools) -> None:
             last = k
 
 
-@kernel
+@outer_kernel
 def _normals(points: Floats, starts: Floats, used: Bools, reach: float, gap: float, normals: Floats) -> None:
     """Fit a line to the neighbours of each point along its scan, their principal axis (`line_map`); the normal points to the laser."""
     n_scans, n_rays = used.shape

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.diagnosis.scan.corner_sums import corners_between_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -62,10 +62,11 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
     """
     sensor, shape = data.sensor, beams.ux.shape
     rights, lefts = neighbouring_rays(sensor)
-    scan, pair = np.nonzero(beams.wall[:, lefts] != beams.wall[:, rights])
+    steps = np.nonzero(beams.wall[:, lefts] != beams.wall[:, rights])
+    scan, pair = (np.ascontiguousarray(part) for part in steps)  # one memory layout: compiled once
     right, left = rights[pair], lefts[pair]
     ox, oy, ux, uy, ranges = (
-        np.ascontiguousarray(np.broadcast_to(part, shape))
+        np.ascontiguousarray(part if part.shape == shape else np.broadcast_to(part, shape))
         for part in (beams.ox, beams.oy, beams.ux, beams.uy, beams.ranges)
     )
     nearer = np.where(ranges[scan, right] <= ranges[scan, left], right, left)
@@ -91,7 +92,7 @@ def find_edges(data: ScanData, beams: Beams, walls: Floats) -> Edges | None:
             beams.wall,
             walls,
             _onward(other, ray, data.n_rays),
-            sensor.bearings,
+            np.ascontiguousarray(sensor.bearings),
             (turn, place),
             limits,
         )
@@ -196,7 +197,7 @@ def _onward(behind: Ints, ahead: Ints, n_rays: int) -> Ints:
     return out
 
 
-@kernel
+@outer_kernel
 def add_rays_behind(
     best: tuple[Floats, Floats, Floats],
     edges: tuple[Ints, Ints, Floats, Floats],
