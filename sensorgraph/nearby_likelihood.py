@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from logs.transforms import compose, invert
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.base import Model
 from sensorgraph.models.cells.model import CellModel
@@ -94,7 +94,7 @@ def _seen(x: float, y: float, turn: float, z: float, bearing: float, centre: Flo
     return math.atan2(c * dy - s * dx, c * dx + s * dy), math.hypot(dx, dy)
 
 
-@kernel
+@outer_kernel
 def _bounds(lasers: Floats, ranges: Floats, bearings: Floats, centre: Floats, out: Floats) -> None:
     """Fill out (n_rays, 4) with the smallest and largest turn and range of each ray."""
     for b in range(len(ranges)):
@@ -107,7 +107,7 @@ def _bounds(lasers: Floats, ranges: Floats, bearings: Floats, centre: Floats, ou
             out[b, 2], out[b, 3] = min(out[b, 2], rho), max(out[b, 3], rho)
 
 
-@kernel
+@outer_kernel
 def _add_up(
     lasers: Floats, ranges: Floats, bearings: Floats, centre: Floats, grids: Floats, shapes: Ints, table: Floats,
     index: Ints, out: Floats,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planners.groups import members
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.faces.observed_space import MAX_CELLS
 from sensorgraph.types import Floats, Ints
 
@@ -93,7 +93,7 @@ def points_with_owners(segments: Floats, spacing: float) -> tuple[Floats, Ints]:
     return points, owner
 
 
-@kernel
+@outer_kernel
 def _nearest(squares: Floats, points: Floats, resolution: float, reach: int) -> None:
     """Lower `squares` (ny, nx) to the squared distance [m²] of each cell centre to the nearest point (n, 2) [cells]."""
     for i in range(len(points)):

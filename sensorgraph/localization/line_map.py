@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.localization.settings import MATCH, UNKNOWN_NORMAL_LENGTH
 from sensorgraph.types import Floats, Ints
 
@@ -105,7 +105,7 @@ def thinned(points: Floats, normals: Floats, side: float = VOXEL) -> tuple[Float
     return means[:, :2], means[:, 2:]
 
 
-@kernel
+@outer_kernel
 def _add_up(points: Floats, normals: Floats, side: float, keys: Ints, rows: Ints, sums: Floats) -> int:
     m = 0
     for k in range(len(points)):

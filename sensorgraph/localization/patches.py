@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.localization.line_map import (
     FACING,
     SAME_SIDE,
@@ -64,7 +64,7 @@ def cut_patches(points: Floats, normals: Floats, side: float, roundness: float) 
     return Patches(middles=middles[order], normals=directions[order], towards=towards[order], side=side)
 
 
-@kernel
+@outer_kernel
 def _fit_lines(
     middles: Floats, towards: Floats, radius: float, roundness: float, table: Table, lines: Floats
 ) -> None:
@@ -79,7 +79,7 @@ def _fit_lines(
             lines[k, 2], lines[k, 3] = nx, ny
 
 
-@kernel
+@outer_kernel
 def _suppress(table: Table, apart: float, kept: Bools) -> None:
     """Keep each point without a kept point of the same side within `apart` [m]."""
     side, _, keys, first, counts, points, normals = table
@@ -118,7 +118,7 @@ def assign(points: Floats, normals: Floats, patches: Patches, gate: float) -> In
     return np.where(nearest >= 0, buckets.order[nearest], -1)
 
 
-@kernel
+@outer_kernel
 def _assign(points: Floats, normals: Floats, gate: float, table: Table, lines: Floats, nearest: Ints) -> None:
     side, _, keys, first, counts, middles, towards = table
     for k in range(len(points)):

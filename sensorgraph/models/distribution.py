@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.types import Floats, Ints
 
 SQRT_HALF, DENSITY_AT_0 = 0.7071067811865476, 0.3989422804014327
@@ -201,7 +201,7 @@ def total_of(w: Floats, n: int) -> float:
     return total
 
 
-@kernel
+@outer_kernel
 def _quantile(means: Floats, weights: Floats, widths: Floats, q: Floats, out: Floats) -> None:
     """Fill out (n_poses, n_rays) with the quantiles q (n_poses, n_rays)."""
     for i in range(out.shape[0]):

@@ -16,7 +16,7 @@ import numpy as np
 
 from logs.run import RangeSensor
 from planners.arena import Arena
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.evaluation.evaluate import poses_for
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.models.base import Prediction
@@ -122,7 +122,7 @@ def uncertainty_of(prediction: Prediction) -> Floats:
     )
 
 
-@kernel
+@outer_kernel
 def gain_of_scan(
     at: Floats,
     cos: Floats,

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.models.cells.grid import CellIndices, max_cells_met, traverse
 from sensorgraph.models.seen_space import SeenSpace
 from sensorgraph.types import Bools, Floats
@@ -91,7 +91,7 @@ class UnseenSpace:
         return out
 
 
-@kernel
+@outer_kernel
 def _follow(
     starts: Floats, headings: Floats, lengths: Floats, side: float, seen: Bools, log_survival: Floats,
     at: CellIndices, ends: Floats, out: Floats,

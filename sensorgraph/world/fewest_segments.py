@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import kernel, outer_kernel
 from sensorgraph.types import Floats, Ints
 
 DIGITAL = 0.75
@@ -116,7 +116,7 @@ def open_corners(points: Floats, tolerance: float) -> Ints:
     return out
 
 
-@kernel
+@outer_kernel
 def _misfit(sums: Floats, i: int, j: int) -> float:
     """Return the squared distances of the points i to j from their best line, given prefix sums (n + 1, 5)."""
     m = j + 1 - i

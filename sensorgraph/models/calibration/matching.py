@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from logs.run import RangeSensor
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.models.calibration.ray_terms import (
     MAX_OPTIC_RANGE,
     N_INCIDENCE,
@@ -152,7 +152,7 @@ def range_change(matches: Matches, shift: float) -> Floats:
     )
 
 
-@kernel
+@outer_kernel
 def _match_readings(
     rays: Any, ray: Any, faces: Any, buckets: Any, noise: Any, terms: Any, mean_bias: Any, march: Any, face: Any,
     values: Any,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import inner_kernel, kernel, outer_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.types import Floats
 
 RowGrid = NDArray[np.int32]
@@ -102,7 +102,7 @@ def traverse(
     return n
 
 
-@kernel
+@outer_kernel
 def max_cells_met(far: float, cell: float) -> int:
     """Return the maximum number of cells that a ray of length `far` [m] can cross."""
     return int(math.sqrt(2.0) * far / cell) + 4

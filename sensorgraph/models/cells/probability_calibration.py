@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE, POINTS
 from sensorgraph.models.cells.distribution import KNOT_WEIGHT, KNOTS, OUTLIER_DENSITY
 from sensorgraph.models.cells.evidence import MIN_RANGE
@@ -26,7 +26,7 @@ EM_STEPS = 6
 """Number of EM steps of the spread; later ones change it by less than 2 %."""
 
 
-@kernel
+@outer_kernel
 def add_squares(
     poses: Floats, ranges: Floats, bearings: Floats, table: CellTable, work: RayWork, sums: Floats, rough: Floats
 ) -> None:  # fmt: skip

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel, outer_kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.cells.evidence import MIN_RANGE, CellEvidence
 from sensorgraph.models.cells.grid import (
@@ -241,7 +241,7 @@ def candidates_of(
     return stop_candidates(pose[0], pose[1], math.cos(angle), math.sin(angle), table, work)
 
 
-@kernel
+@outer_kernel
 def summarise_rays(
     poses: Floats, bearings: Floats, table: CellTable, which: int, work: RayWork, out: Floats, near: Floats,
     unobserved: Floats,
@@ -270,7 +270,7 @@ def summarise_rays(
             unobserved[p, q] = length
 
 
-@kernel
+@outer_kernel
 def fill_candidates(
     poses: Floats, bearings: Floats, table: CellTable, work: RayWork, r: Floats, w: Floats, sigma: Floats,
     survival: Floats,

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import kernel
+from planners.kernel import kernel, outer_kernel
 from sensorgraph.models.cells.evidence import CellEvidence, Counts
 from sensorgraph.models.cells.grid import N_SECTORS, CellIndices, RowGrid
 from sensorgraph.types import Floats
@@ -77,7 +77,7 @@ _NEIGHBOURS = (
 )  # fmt: skip
 
 
-@kernel
+@outer_kernel
 def fill_sector_maps(
     b: int, n_rows: int, hits: Counts, interpolated: Counts, passes: Counts, raw: Floats32, logs: Floats32
 ) -> None:
@@ -108,7 +108,7 @@ def fill_sector_maps(
             logs[row, k] = math.log(1.0 + COUNT_SCALE * raw[row, k]) if raw[row, k] > 0.0 else 0.0
 
 
-@kernel
+@outer_kernel
 def add_box_sums(places: CellIndices, index: RowGrid, raw: Floats32, logs: Floats32) -> None:
     """Add the sums over 5 x 5 cells of S and O to the maps of one sector."""
     for row in range(len(places)):
@@ -195,7 +195,7 @@ def fill_features(
     f[39] = 1.0 - raw[n[13], 9]
 
 
-@kernel
+@outer_kernel
 def evaluate_logit(f: Floats32, beta: Floats, pairs: CellIndices) -> float:
     """Return beta·phi(f) for features f (40,)."""
     total = beta[0]
@@ -218,7 +218,7 @@ def fill_logits(
         out[k] = evaluate_logit(f, beta, pairs)
 
 
-@kernel
+@outer_kernel
 def fill_all_features(
     places: CellIndices, index: RowGrid, raw: Floats32, logs: Floats32, around: CellIndices, out: Floats32
 ) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.models.cones.settings import CONES
 from sensorgraph.models.distribution import SQRT_HALF
 from sensorgraph.models.faces.observed_space import is_ray_observed
@@ -65,7 +65,7 @@ def cone_on_line(
     return (np.inf, -np.inf) if a >= b and abs(a) >= GRAZING * h else (a, b)
 
 
-@kernel
+@outer_kernel
 def ranges_to_stretch(
     origins: Any, directions: Any, halves: Any, nx: Any, ny: Any, d: Any, low: Any, high: Any, r: Any, t: Any
 ) -> Any:
@@ -87,7 +87,7 @@ def ranges_to_stretch(
             r[i], t[i] = math.sqrt(h * h + s * s), tq + s
 
 
-@kernel
+@outer_kernel
 def count_along_line(
     origins: Any, directions: Any, halves: Any, ranges: Any, reach: Any, unexplained: Any, nx: Any, ny: Any,
     d: Any, tolerance: Any, margin: Any, start: Any, size: Any, hits: Any, new_hits: Any, passes: Any,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planners.kernel import inlined_kernel, kernel
+from planners.kernel import inlined_kernel, outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE
 from sensorgraph.models.calibration.ray_terms import incidence_bias
 from sensorgraph.models.distribution import SQRT_HALF
@@ -137,7 +137,7 @@ def is_supported(i: Any, b: Any, reach: Any, beams: Any, work: Any, observed: An
     )
 
 
-@kernel
+@outer_kernel
 def predict_rays(beams: Any, candidates: Any, observed: Any, which: Any, table: Any, supported: Any) -> Any:
     """Fill table (n_poses, n_rays, 6) as `mixture.summarise`, and `supported` (n_poses, n_rays): the ray was observed.
 
@@ -162,7 +162,7 @@ def predict_rays(beams: Any, candidates: Any, observed: Any, which: Any, table: 
             supported[i, b] = is_supported(i, b, reach, beams, work, observed)
 
 
-@kernel
+@outer_kernel
 def list_rays(beams: Any, work: Any, rho: Any, w: Any, s: Any, source: Any, survival: Any) -> Any:
     """Fill the mixtures of all rays; return the largest number of candidates.
 
@@ -180,7 +180,7 @@ def list_rays(beams: Any, work: Any, rho: Any, w: Any, s: Any, source: Any, surv
     return most
 
 
-@kernel
+@outer_kernel
 def log_likelihood_rays(
     beams: Any, candidates: Any, observed: Any, ranges: Any, range_min: Any, out: Any, supported: Any
 ) -> Any:
@@ -208,7 +208,7 @@ def log_likelihood_rays(
             supported[i, b] = is_supported(i, b, reach, beams, work, observed)
 
 
-@kernel
+@outer_kernel
 def draw_rays(beams: Any, candidates: Any, uniform: Any, normal: Any, out: Any) -> Any:
     """Fill out (n_poses, n_rays) [m] with one outcome of each ray's mixture, or +inf.
 

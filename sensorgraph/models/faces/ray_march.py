@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planners.kernel import inlined_kernel, inner_kernel, kernel
+from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats, Ints
 
@@ -127,7 +127,7 @@ def bucket_grid(faces: FaceSet) -> BucketGrid:
     return BucketGrid(origin, shape, start, members)
 
 
-@kernel
+@outer_kernel
 def _rasterise(
     normals: Any, offsets: Any, first: Any, edges: Any, levels: Any, origin: Any, nx: Any, ny: Any, at: Any,
     members: Any,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from logs.transforms import compose
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
@@ -211,7 +211,7 @@ def _concatenate(samples: Sequence[RaySample]) -> RaySample:
     )
 
 
-@kernel
+@outer_kernel
 def _flatten(
     x: Any, y: Any, cos: Any, sin: Any, cos_b: Any, sin_b: Any, ranges: Any, range_max: Any, origins: Any,
     directions: Any, ends: Any, reach: Any, place: Any,

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from robotmodic_ident.estimation.noise_model import ALARM, TESTED_LAGS
 from sensorgraph.models.narmax.sequences import positions
 from sensorgraph.models.residual_memory import MAX_MEMORY
@@ -66,7 +66,7 @@ class Stretches:
         return out
 
 
-@kernel
+@outer_kernel
 def _whiten(values: Floats, noise: Floats, position: Ints) -> None:
     """Subtract sum_l c_l times row k - l from each row k of values (n, m), in the order of the rows."""
     for k in range(len(values)):
