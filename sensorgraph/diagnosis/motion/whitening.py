@@ -235,7 +235,10 @@ def robust_misfit(
     limit : [standard deviations] Limit of Huber's loss.
     """
     taps = _prediction_error_taps(autocovariance)
-    variance = max((taps * autocovariance).sum(), min_innovation * autocovariance[0])
+    variance = 0.0
+    for lag in range(len(taps)):
+        variance += taps[lag] * autocovariance[lag]
+    variance = max(variance, min_innovation * autocovariance[0])
     white = np.zeros(len(residual))
     for lag in range(len(taps)):
         tap = taps[lag]
