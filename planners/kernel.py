@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.extending import register_jitable
 
+from planners.call_types import generalise_calls
 from planners.source_stamp import source_stamp
 from planners.uninterrupted import uninterrupted
 
@@ -27,16 +28,8 @@ def kernel(function: Function, **options: Any) -> Function:
     compiled: Any = numba.njit(cache=can_cache(), error_model="numpy", nogil=True, **options)(function)
     compile_ = compiled.compile  # Ctrl-C is deferred, because it would crash LLVM
     compiled.compile = lambda types: uninterrupted(lambda: compile_(types))
-    if choose := getattr(compiled, "get_call_template", None):  # how other kernels call it
-        compiled.get_call_template = lambda types, names: choose(tuple(map(_general, types)), names)
+    generalise_calls(compiled)
     return cast(Function, compiled)
-
-
-def _general(kind: Any) -> Any:
-    """Return the type of a call's argument, so that a kernel is compiled once for constants and all signed integers."""
-    types: Any = numba.types
-    kind = types.unliteral(kind)
-    return types.int64 if isinstance(kind, types.Integer) and kind.signed else kind
 
 
 def outer_kernel(function: Function) -> Function:
@@ -61,8 +54,6 @@ def can_cache() -> bool:
     try:
         return bool(numba.njit(cache=True)(lambda: None))
     except RuntimeError:
-        why = "cannot be kept: neither the package folder nor the user cache is writable. Every command compiles again,"
-        logger.warning(
-            "compiled code %s which takes about 30 s; set NUMBA_CACHE_DIR to a writable folder", why
-        )
+        why = "neither the package folder nor the user cache is writable. Every command compiles again, about 30 s"
+        logger.warning("compiled code cannot be kept: %s; set NUMBA_CACHE_DIR to a writable folder", why)
         return False

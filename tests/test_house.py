@@ -39,7 +39,7 @@ OWNERS = {
     "PIL": {"planners/maps/"},
     "distributed": {"sensorgraph/dask_client.py", "sensorgraph/surveying/cluster.py"},
     "pyarrow": {"sensorgraph/surveying/parquet.py"},
-    "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py"},
+    "numba": {"robotmodic_ident/kernel.py", "planners/kernel.py", "planners/call_types.py"},
     "gtsam": {"sensorgraph/localization/pose_graph.py"},
     "mujoco": {"sensorgraph/data/export/drive_mujoco.py"},
     "irsim": {"sensorgraph/data/export/drive_irsim.py"},
