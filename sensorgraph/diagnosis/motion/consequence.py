@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
@@ -60,7 +61,7 @@ class ReferenceError:
 
     def is_material(self, robot: Robot, evidence: float) -> bool:
         """Tell whether the error certainly exceeds the tolerance of the reference, given the evidence [nats] of it."""
-        share, limits = sure_share(evidence) / EVIDENCE.max_tolerances, robot.tolerances
+        share, limits = sure_share(evidence) / SCAN.nuisance.max_tolerances, robot.tolerances
         return share * self.place > limits.pose_xy or share * self.yaw > limits.pose_yaw
 
 

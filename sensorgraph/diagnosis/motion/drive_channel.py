@@ -34,6 +34,7 @@ from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.whitening import Whitener
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Rival
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -78,7 +79,7 @@ def diagnose_drive(
     model = DriveModel(commands, rows, robot, wheels, named_wheels)
     fit_noise_with_all_effects(model)
     channel = MotionChannel(model)
-    terms = engine.select(channel, threshold=EVIDENCE.threshold, most=len(model.terms))
+    terms = engine.select(channel, threshold=SCAN.selection.threshold, most=len(model.terms))
     fit = add_structure(model, terms, channel.fit)
     return drive_result(model, terms, fit)
 
@@ -97,7 +98,7 @@ def fit_noise_with_all_effects(model: DriveModel) -> None:
             model.fit_noise(full.residual)
             full = model.fit(effects, full)
         is_ramped = limit is AccelerationLimit.SET_POINT
-        price = EVIDENCE.threshold + EVIDENCE.price if is_ramped else 0.0
+        price = SCAN.selection.threshold + SCAN.selection.price if is_ramped else 0.0
         found.append((full.log_posterior + model.whitener.log_likelihood - price, limit, model.whitener))
     _, model.simulation.limit, model.whitener = max(found, key=lambda one: one[0])
 
@@ -111,11 +112,11 @@ def add_structure(model: DriveModel, terms: list[Term], here: Fit) -> Fit:
     test, own, families = left_by(model, terms, here)
     family, gain = test.best(own, families)
     others = [term for term in terms if term.effect not in TIMING]
-    if gain >= EVIDENCE.threshold and family.kind in OTHER_MOTORS and len(others) < len(terms):
+    if gain >= SCAN.selection.threshold and family.kind in OTHER_MOTORS and len(others) < len(terms):
         plain = model.fit(others)
         alone, plain_own, families = left_by(model, others, plain)
         other, more = alone.best(plain_own, [one for one in families if one.kind in OTHER_MOTORS])
-        if alone.evidence(plain_own, other) > test.evidence(own) + EVIDENCE.threshold:
+        if alone.evidence(plain_own, other) > test.evidence(own) + SCAN.selection.threshold:
             fit, left, test, own, family, gain = plain, others, alone, plain_own, other, more
             gone = [model.sized(term, here, 0.0) for term in terms if term not in others]
             stands_for_material = any(exceeds_sizes(a) for a in gone)
@@ -124,7 +125,7 @@ def add_structure(model: DriveModel, terms: list[Term], here: Fit) -> Fit:
         test,
         own,
         (family, gain),
-        EVIDENCE.threshold,
+        SCAN.selection.threshold,
         lambda missing, _: model.error_without(fit, missing),
         stands_for_material=stands_for_material,
     )

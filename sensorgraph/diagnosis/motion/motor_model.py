@@ -35,6 +35,7 @@ from sensorgraph.diagnosis.motion.whitening import (
     fit_autoregression,
 )
 from sensorgraph.diagnosis.result import MotionDifference
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
@@ -176,7 +177,7 @@ class DriveModel:
         return self._prior(terms, fit.motors)
 
     def _prior(self, terms: Sequence[Term], motors: MotorParameters) -> BoundedPrior:
-        whole_share = 1.0 / EVIDENCE.max_tolerances  # at the bound, all of the second lag is present
+        whole_share = 1.0 / SCAN.nuisance.max_tolerances  # at the bound, all of the second lag is present
         sigma = [LAG_SIGMA, self.rows.clock_sigma, *self.gain_sigmas, 0.0, whole_share]
         sigma += [regressor.tolerance for _, regressor in self.regressors]
         bounded = len(sigma)
@@ -186,7 +187,7 @@ class DriveModel:
         mean = np.zeros(len(sigma))
         mean[Column.LAG] = self.nominal.tau - motors.tau
         mean[Column.DELAY] = self.nominal.delay - motors.delay
-        prior = BoundedPrior.of(np.array(sigma), mean, EVIDENCE.max_tolerances)
+        prior = BoundedPrior.of(np.array(sigma), mean, SCAN.nuisance.max_tolerances)
         return prior.freed([term.column for term in terms]).unbounded_from(bounded)
 
     def fit(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
@@ -273,7 +274,7 @@ class DriveModel:
         kind : 0 for translation, 1 for rotation.
         """
         stated = (self.robot.wheels.sigma_v, self.robot.wheels.sigma_omega)[kind]
-        limit = EVIDENCE.clip_limit
+        limit = SCAN.goodness_of_fit.clip
         cut = clipped(residual, valid, limit, max(limit * stated, 1e-9))
         found = fit_autoregression(cut, valid, FILTER_ORDER)
         return replace(found, sigma=max(found.sigma, 1e-6))

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Objection
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.result import ChannelResult, Unknown, without_close_calls
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
@@ -82,7 +81,7 @@ def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> Channe
     """
     if pose_scale < SCAN.nuisance.stretched_scale:
         return odometry
-    least = EVIDENCE.threshold * pose_scale**2
+    least = SCAN.selection.threshold * pose_scale**2
     weak = {a.name for a in odometry.effects if (a.evidence or 0.0) < least}
     considered = (
         replace(one, facts=replace(one.facts, accepted=False, threshold=least)) if one.name in weak else one
@@ -118,7 +117,7 @@ def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[Channel
     unknown = Unknown(
         statement=f"the wheels follow the commands as robot.yaml specifies, but the {words}, which no single effect of the library explains",
         statistic=clock.evidence or 0.0,
-        threshold=EVIDENCE.threshold,
+        threshold=SCAN.selection.threshold,
         consequence=words,
         families=(
             "the clock of the base, which stamps commands and odometry",

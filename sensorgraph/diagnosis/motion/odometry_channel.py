@@ -36,6 +36,7 @@ from sensorgraph.diagnosis.motion.wheel_rows import (
 from sensorgraph.diagnosis.motion.wheel_structure import odometry_families, reference_jumps
 from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Unknown
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Effect
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.localization.locate import is_located
@@ -198,7 +199,7 @@ def select(model: WheelModel, *, is_reference_straight: bool = False) -> list[Te
     reference is known to be straight, a distorted reference is not tried.
     """
     most = len(model.terms) + MAX_PATCHES
-    terms = engine.select(WheelChannel(model), threshold=EVIDENCE.threshold, most=most)
+    terms = engine.select(WheelChannel(model), threshold=SCAN.selection.threshold, most=most)
     add_structure(model, terms, is_reference_straight=is_reference_straight)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
@@ -219,7 +220,7 @@ class WheelChannel(MotionChannel):
         wheels, other = self.wheels, super().best(model)
         can_slip = len(wheels.patches) < MAX_PATCHES
         found = wheels.last_patch = best_patch(wheels, model) if can_slip else None
-        if found is None or found[1] < max(EVIDENCE.threshold, -np.inf if other is None else other[1]):
+        if found is None or found[1] < max(SCAN.selection.threshold, -np.inf if other is None else other[1]):
             return other
         wheels.patches.append(found[0])
         return wheels.patch_term(len(wheels.patches) - 1), found[1]
@@ -260,7 +261,7 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
         if replaces:
             own, family, gain = plain, other, total
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
-    threshold = EVIDENCE.threshold * dispersion
+    threshold = SCAN.selection.threshold * dispersion
 
     def size_of(missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:
         if family.is_of_reference:

@@ -16,6 +16,7 @@ import numpy as np
 
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.scan.normal_equations import solve_bounded
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Effect
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -41,7 +42,7 @@ class Term:
     @property
     def price(self) -> float:
         """[nats] complexity penalty."""
-        return EVIDENCE.price * (1 if self.effect is None else len(self.effect.parameters))
+        return SCAN.selection.price * (1 if self.effect is None else len(self.effect.parameters))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

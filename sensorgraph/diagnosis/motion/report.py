@@ -34,6 +34,7 @@ from sensorgraph.diagnosis.result import (
     Unknown,
     Withdrawn,
 )
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment, Effect
 from sensorgraph.types import Floats
 
@@ -60,7 +61,7 @@ class TriedEffect:
     @property
     def entry(self) -> Entry:
         """Its entry of the ledger."""
-        facts = Facts(has_name=True, evidence=self.evidence, threshold=EVIDENCE.threshold)
+        facts = Facts(has_name=True, evidence=self.evidence, threshold=SCAN.selection.threshold)
         return effect_entry(replace(self.amendment, evidence=self.evidence), facts, price=self.price)
 
 
@@ -119,7 +120,7 @@ def _accepted(
 def _rival(a: Amendment, alternatives: Mapping[Effect, float]) -> Rival | None:
     """Return the alternative with the most evidence [nats], if it would be named instead."""
     best = max(alternatives, key=lambda other: alternatives[other], default=None)
-    if best is None or alternatives[best] < EVIDENCE.threshold:
+    if best is None or alternatives[best] < SCAN.selection.threshold:
         return None
     advice = a.effect.rivals.get(best.name) or best.rivals.get(a.name) or a.effect.varies
     return Rival(name=best.name, instead_of=a.name, evidence_nats=alternatives[best], separates=advice)
@@ -136,7 +137,7 @@ def _judged_entry(a: Amendment, price: float, size: SimulationError, loop: float
     P = Phi((|size| - loop) / standard error)
     """
     is_material = exceeds_sizes(a)
-    entry = accepted_entry(a, EVIDENCE.threshold, price, size)
+    entry = accepted_entry(a, SCAN.selection.threshold, price, size)
     facts = replace(entry.facts, is_material=is_material)
     if not (is_material and loop):
         return replace(entry, facts=facts)
@@ -246,7 +247,7 @@ def _unseen_effects(tried: Iterable[TriedEffect]) -> dict[str, str]:
             continue
         size = OBSERVABLE_SIZE * next(iter(effect.sizes.values()))
         expected = 0.5 * size**2 / one.variance
-        if expected - EVIDENCE.price < EVIDENCE.threshold:
+        if expected - SCAN.selection.price < SCAN.selection.threshold:
             out[effect.name] = (
                 f"{effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is "
                 f"{expected:.0f}"

@@ -11,7 +11,6 @@ from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationE
 from sensorgraph.diagnosis.motion.motor_model import DriveModel
 from sensorgraph.diagnosis.motion.motor_structure import DRIVE_FAMILIES
 from sensorgraph.diagnosis.motion.regression import Fit, Term
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import (
     StructureFamily,
     StructureTest,
@@ -19,6 +18,7 @@ from sensorgraph.diagnosis.motion.structure_test import (
 )
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
 from sensorgraph.diagnosis.motion.wheel_structure import ODOMETRY_FAMILIES
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats
 
 FAMILIES_OF: Mapping[str, Mapping[str, tuple[str, str]]] = {
@@ -67,7 +67,7 @@ class MotionChannel:
 
     def needed(self, model: Sequence[Term], hypothesis: Term) -> float:
         """Return the evidence [nats] that a hypothesis needs."""
-        return EVIDENCE.threshold
+        return SCAN.selection.threshold
 
 
 def admitted_structure(

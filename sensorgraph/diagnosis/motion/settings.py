@@ -13,25 +13,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sensorgraph.diagnosis.scan.settings import SCAN
-
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceSettings:
-    """Evidence that a name requires; the same in both motion channels as in the scan channel."""
+    """Regressions of wheels and motors, and the size of an error of dead reckoning."""
 
-    price: float = SCAN.selection.price
-    """[nats] complexity penalty of each parameter of an effect."""
-    threshold: float = SCAN.selection.threshold
-    """[nats] evidence, after the complexity penalty, that a name needs."""
-    max_tolerances: float = SCAN.nuisance.max_tolerances
-    """Bound of a nuisance, in tolerances; a larger error must be an effect."""
     temperature: float = 4.0
     """Divisor of the evidence before it becomes a probability, since models are wrong in more ways than noise."""
     huber_limit: float = 3.0
     """Limit of Huber's loss, in standard deviations."""
-    clip_limit: float = SCAN.goodness_of_fit.clip
-    """Robust standard deviations at which a residual is clipped before its autocovariance is estimated."""
     cluster: float = 2.0
     """[s] within which errors may be correlated, beyond the whitening filter; over longer times, the reference is
     more accurate than the wheels."""

@@ -19,10 +19,11 @@ from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheel_model import SlipPatch, WheelModel
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-PATCH_PRICE = EVIDENCE.price * len(WHEEL_SLIP.parameters)
+PATCH_PRICE = SCAN.selection.price * len(WHEEL_SLIP.parameters)
 """[nats] complexity penalty of a patch."""
 MAX_VALUES = 1_000_000
 """Maximum number of rows times discs in memory: 8 MB per array."""

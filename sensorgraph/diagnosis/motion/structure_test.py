@@ -22,6 +22,7 @@ from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
 from sensorgraph.diagnosis.motion.regression import RIDGE
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, by_kind
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats
 
 
@@ -55,7 +56,7 @@ class TestedFamily:
     """[nats] less the price."""
     price: float | None
     """[nats] Occam factor of its columns, and the penalty for the choice of the family; None: not screened."""
-    threshold: float = EVIDENCE.threshold
+    threshold: float = SCAN.selection.threshold
     """[nats] required evidence."""
     size: SimulationError | ReferenceError | None = None
     """Error of a simulation without it, or of the reference poses; None: the evidence does not suffice."""

@@ -34,6 +34,7 @@ from sensorgraph.diagnosis.motion.wheel_rows import WINDOW, OdometryRows
 from sensorgraph.diagnosis.motion.wheel_structure import in_curves
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, by_kind, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.interfaces import DrivenMotion
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
@@ -166,7 +167,9 @@ class WheelModel:
             self.residual = self.y - scaled @ theta
             taken = 1 / np.sqrt(1 - 0.5 * len(theta) / max(2 * valid.sum(), 1))
             filters = tuple(
-                fit_filter(clipped(part, valid, EVIDENCE.clip_limit, 1e-12) * taken, valid, FILTER_ORDER)
+                fit_filter(
+                    clipped(part, valid, SCAN.goodness_of_fit.clip, 1e-12) * taken, valid, FILTER_ORDER
+                )
                 for part in by_kind(self.residual, n)
             )
             self.whitener = Whitener.robust(filters, valid, self.residual, EVIDENCE.huber_limit)
@@ -209,7 +212,7 @@ class WheelModel:
             sigma += [self.structure.family.sigma] * self.structure.family.columns.shape[1]
         mean = np.zeros(len(sigma))
         mean[self.clock] = -self.rows.clock
-        prior = BoundedPrior.of(np.array(sigma), mean, EVIDENCE.max_tolerances)
+        prior = BoundedPrior.of(np.array(sigma), mean, SCAN.nuisance.max_tolerances)
         return prior.freed([term.column for term in terms]).unbounded_from(k)
 
     def fit(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
@@ -342,7 +345,7 @@ def fused_motion(rows: OdometryRows, wheels: WheelIncrements, residual: Floats) 
     )
     k, noise = max(round(EVIDENCE.cluster / period), 2), list[Floats]()
     for kind in by_kind(residual, rows.n)[:2]:
-        part = np.where(rows.valid, clipped(kind, rows.valid, EVIDENCE.clip_limit, 1e-12), 0.0)
+        part = np.where(rows.valid, clipped(kind, rows.valid, SCAN.goodness_of_fit.clip, 1e-12), 0.0)
         n = max(len(part) // k, 1)
         single = float(np.mean(part**2)) + 1e-18
         block = float(np.mean(part[: n * k].reshape(n, -1).sum(axis=1) ** 2))
