@@ -141,7 +141,7 @@ class SiteBaseline:
             beyond = told.misfit - SCAN.site.clutter_factor_of_one * own
             if beyond > 0:
                 return replace(fit, told=replace(told, misfit=beyond))
-        return replace(fit, told=None, failed=frozenset())
+        return replace(fit, told=None)
 
 
 def _has_sharper_test(name: str, intervals: Mapping[str, BaselineInterval]) -> bool:

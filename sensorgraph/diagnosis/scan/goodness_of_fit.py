@@ -25,8 +25,6 @@ class GoodnessOfFit:
 
     told: Doubt | None = None
     """The difference that is reported; None if the model is sufficient."""
-    failed: frozenset[int] = frozenset()
-    """Indices of effects of the model whose assumptions are violated; they are clutter and not named."""
     immaterial: tuple[str, ...] = ()
     """Differences that are significant, but smaller than a user tolerates."""
     tested: tuple[Doubt, ...] = ()
@@ -68,7 +66,6 @@ def check(
     tests = [(test, test.find(checked)) for test in UNNAMED.values() if test.find is not None]
     causes = [doubt for test, found in tests if test.is_cause for doubt in found]
     others = [doubt for test, found in tests if not test.is_cause for doubt in found]
-    fringes = frozenset(i for doubt in others for i in doubt.fringe)
     share = SCAN.goodness_of_fit.min_share_of_gain
     inexact = sum((a.effect.diagnostics.misfit_share or share) * gains[i] for i, a in enumerate(fitted.model))
     # each effect allows for the share of its evidence by which its model is inexact
@@ -78,7 +75,7 @@ def check(
     trifles = [d for d in doubts if d.size is not None and not d.size.is_material(sigma)]
     doubts = [d for d in doubts if d not in trifles]
     immaterial = tuple(f"{d.statement}; {d.size.sentence()}" for d in trifles if d.size is not None)
-    rest = GoodnessOfFit(failed=fringes, immaterial=immaterial, tested=tested, least=least)
+    rest = GoodnessOfFit(immaterial=immaterial, tested=tested, least=least)
     if not doubts:
         return rest
     first = replace(doubts[0], causes=doubts[0].causes or likely_causes(checked.deviations))
@@ -109,14 +106,15 @@ def told_by_tolerances(fitted: Fitted, found: GoodnessOfFit) -> GoodnessOfFit | 
     doubts = sure(beyond_tolerances(fitted, limit))
     if not doubts:
         return None
-    return _told(max(doubts, key=lambda d: d.statistic), doubts, replace(found, failed=frozenset()))
+    return _told(max(doubts, key=lambda d: d.statistic), doubts, found)
 
 
 def _told(first: Doubt, doubts: Sequence[Doubt], rest: GoodnessOfFit) -> GoodnessOfFit:
-    """Add the first of several differences to a result; it takes the strongest deviation of all of them."""
+    """Add the first of several differences to a result; it takes the strongest deviation and the failed effects of all of them."""
     told = replace(
         first,
         deviation=next((d.deviation for d in doubts if d.deviation is not None), None),
         is_of_building=all(d.is_of_building for d in doubts),
+        failed=frozenset[int]().union(*(d.failed for d in doubts)),
     )
-    return replace(rest, told=told, failed=rest.failed.union(*(d.failed for d in doubts)))
+    return replace(rest, told=told)

@@ -89,28 +89,22 @@ def name_scan_effects(
     ]
     why = [why_immaterial(final, a, chance) for a, chance in zip(final.model, chances, strict=True)]
     small = {i: objection for i, objection in enumerate(why) if objection is not None}
-    material = set(range(len(final.model))) - set(small)
-    # the mean error of a drifting reference is a rival as well
-    margin = SCAN.naming.rival_margin
-    imitated = {i for i in material if evidence_beside_wander(final, final.model[i]) < margin}
-    material -= imitated
-    doubted = {i for i in material if is_doubted(explained, i, fit)}
-    accepted = sorted(material - doubted)
+    rules = {i: why_withdrawn(explained, i, fit.told) for i in range(len(complete)) if i not in small}
+    accepted = [i for i, rule in rules.items() if rule is None]
     order = sorted(accepted, key=lambda i: -explained.gains[i])
     result = ChannelResult(
         channel="scan",
         effects=tuple(complete[i] for i in order),
-        within_tolerance=tuple(a for i, a in enumerate(complete) if i not in material | imitated),
+        within_tolerance=tuple(complete[i] for i in small),
         withdrawn=tuple(
-            Withdrawn(
-                amendment=complete[i],
-                objection=IMITATED if i in imitated else _why_doubted(fit),
-            )
-            for i in sorted(imitated | doubted)
+            Withdrawn(amendment=complete[i], objection=rule) for i, rule in rules.items() if rule is not None
         ),
         not_observable={
-            a.name: f"{brief(a)} is within the possible mean error of a reference that drifts"
-            for a in (complete[i] for i in sorted(imitated))
+            complete[
+                i
+            ].name: f"{brief(complete[i])} is within the possible mean error of a reference that drifts"
+            for i, rule in rules.items()
+            if rule is IMITATED
         },
         unknown=_unknown(fit.told),
         rivals=tuple(_rival(data, explained, i) for i in order if i in explained.rivals),
@@ -178,26 +172,18 @@ def why_immaterial(fitted: Fitted, amendment: Amendment, chance: float) -> Objec
     )
 
 
-def is_doubted(explained: Explained, index: int, fit: GoodnessOfFit) -> bool:
-    """Tell whether an effect loses its name to unmodelled structure."""
-    if index in fit.failed:
-        return True
-    if explained.final.model[index].effect.diagnostics.is_lattice:
-        return False
-    told, settings = fit.told, SCAN.goodness_of_fit
+def why_withdrawn(explained: Explained, index: int, told: Doubt | None) -> Objection | None:
+    """Return why the mean of a drifting reference, or unmodelled structure, takes the name of an effect; None if neither does."""
+    amendment, settings = explained.final.model[index], SCAN.goodness_of_fit
+    if evidence_beside_wander(explained.final, amendment) < SCAN.naming.rival_margin:
+        return IMITATED
     if told is None:
-        return False
+        return None
     share = settings.failed_law_share if told.is_of_building else settings.min_share_of_gain
-    return told.misfit > share * explained.gains[index]
-
-
-def _why_doubted(fit: GoodnessOfFit) -> Objection:
-    """Return why effects lose their names (`is_doubted`)."""
-    if fit.told is None:
-        return Objection(
-            "failed_law", "it is a fringe of the readings of another effect, or a bulge of a wall"
-        )
-    cause = titles().get(fit.told.family, fit.told.statement)
+    is_lattice = amendment.effect.diagnostics.is_lattice
+    if index not in told.failed and (is_lattice or told.misfit <= share * explained.gains[index]):
+        return None
+    cause = titles().get(told.family, told.statement)
     return Objection("part_of_unknown", f"it may be a part of what no effect explains: {cause}")
 
 

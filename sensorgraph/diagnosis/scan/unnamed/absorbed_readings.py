@@ -101,7 +101,6 @@ def find(checked: Checked) -> list[Doubt]:
                 statistic=0.0,
                 threshold=0.0,
                 failed=frozenset([index]),
-                fringe=frozenset([index]),
                 size=ScanError(wrong=odd_share),
                 causes=causes,
                 # an occupancy-grid map lacks moving and thin objects, so these outliers are not uniform

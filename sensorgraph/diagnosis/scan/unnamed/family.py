@@ -35,9 +35,7 @@ class Doubt:
     deviation: Deviation | None = None
     """Deviation that shows it."""
     failed: frozenset[int] = frozenset()
-    """Indices of the effects whose assumptions are violated."""
-    fringe: frozenset[int] = frozenset()
-    """Those of them that have no name even if the difference is too small to be reported."""
+    """Indices of the effects whose assumptions are violated; they are clutter and not named."""
     size: ScanError | None = None
     """Error of a simulation without it; None if it cannot be quantified, which counts as material."""
     causes: tuple[str, ...] = ()

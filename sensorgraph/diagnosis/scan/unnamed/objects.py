@@ -52,7 +52,6 @@ def find_at_walls(checked: Checked) -> list[Doubt]:
                 statistic=gains[index],
                 threshold=SCAN.selection.threshold,
                 failed=frozenset([index]),
-                fringe=frozenset([index]),
                 size=scan_change(whole, cast(data, without(view.fitted.model, index))),
                 causes=WALL_CAUSES,
             )
