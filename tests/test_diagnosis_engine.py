@@ -47,9 +47,6 @@ class Regression:
         rest = [name for name in model if name != hypothesis]
         return self.log_likelihood(model) - self.log_likelihood(rest) - PRICE
 
-    def needed(self, model: Sequence[str], hypothesis: str) -> float:
-        return THRESHOLD
-
 
 @pytest.fixture(scope="module")
 def two() -> dict[str, Floats]:
@@ -74,7 +71,7 @@ def test_a_column_that_two_others_make_superfluous_is_taken_back(two: dict[str, 
     assert channel.best([])[0] == "both"  # type: ignore[index]
     assert len(select(channel, threshold=THRESHOLD, most=4)) == 2
     model = ["both", "offset", "slope"]
-    remove_superfluous(channel, model)
+    remove_superfluous(channel, model, threshold=THRESHOLD)
     assert len(model) == 2
 
 

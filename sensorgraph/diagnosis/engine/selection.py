@@ -2,7 +2,7 @@
 
     E(h | M) = log p(data | M with h) - log p(data | M without h) - price of h.
 
-A hypothesis enters the model M if its evidence E is at least the threshold, and stays as long as it has what it needs.
+A hypothesis enters the model M if its evidence E is at least the threshold, and stays as long as it is.
 """
 
 from __future__ import annotations
@@ -35,17 +35,13 @@ class EvidenceChannel(Protocol[H]):
         """Return the evidence [nats] for a hypothesis of the model in addition to the others."""
         ...
 
-    def needed(self, model: Sequence[H], hypothesis: H) -> float:
-        """Return the evidence [nats] that a hypothesis needs to stay in the model."""
-        ...
-
 
 def select(channel: EvidenceChannel[H], *, threshold: float, most: int) -> list[H]:
     """Return at most `most` hypotheses with enough evidence, in the order in which they entered.
 
     Parameters
     ----------
-    threshold : [nats] Evidence that a hypothesis needs to enter.
+    threshold : [nats] Evidence that a hypothesis needs to enter and to stay.
     """
     model: list[H] = []
     while len(model) < most:
@@ -54,16 +50,16 @@ def select(channel: EvidenceChannel[H], *, threshold: float, most: int) -> list[
             break
         model.append(found[0])
         channel.added(model)
-        remove_superfluous(channel, model)
+        remove_superfluous(channel, model, threshold=threshold)
     return model
 
 
-def remove_superfluous(channel: EvidenceChannel[H], model: list[H]) -> None:
-    """Remove the hypotheses that have less evidence than they need, the weakest first."""
+def remove_superfluous(channel: EvidenceChannel[H], model: list[H], *, threshold: float) -> None:
+    """Remove the hypotheses with less evidence than the threshold [nats], the weakest first."""
     while model:
-        spare = [channel.evidence(model, one) - channel.needed(model, one) for one in model]
-        weakest = spare.index(min(spare))
-        if spare[weakest] >= 0.0:
+        evidence = [channel.evidence(model, one) for one in model]
+        weakest = evidence.index(min(evidence))
+        if evidence[weakest] >= threshold:
             return
         del model[weakest]
         channel.removed(model)

@@ -135,7 +135,7 @@ def add_structure(model: DriveModel, terms: list[Term], here: Fit) -> Fit:
     full = model.fit(terms, fit)
     model.fit_noise(full.residual)
     channel = MotionChannel(model, terms, full)
-    engine.remove_superfluous(channel, terms)
+    engine.remove_superfluous(channel, terms, threshold=SCAN.selection.threshold)
     return channel.fit
 
 

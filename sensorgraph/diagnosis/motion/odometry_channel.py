@@ -204,7 +204,7 @@ def select(model: WheelModel, *, is_reference_straight: bool = False) -> list[Te
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
             refine_patch(model, i, terms)
-    engine.remove_superfluous(WheelChannel(model, terms), terms)
+    engine.remove_superfluous(WheelChannel(model, terms), terms, threshold=SCAN.selection.threshold)
     return terms
 
 
@@ -274,7 +274,7 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
         terms[:] = [term for term in terms if term.effect is not WHEEL_SLIP]
     model.structure = found
     model.fit_noise()
-    engine.remove_superfluous(MotionChannel(model, terms), terms)
+    engine.remove_superfluous(MotionChannel(model, terms), terms, threshold=SCAN.selection.threshold)
 
 
 # report --------------------------------------------------------------------------------------------------------------

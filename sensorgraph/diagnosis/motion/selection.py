@@ -18,7 +18,6 @@ from sensorgraph.diagnosis.motion.structure_test import (
 )
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
 from sensorgraph.diagnosis.motion.wheel_structure import ODOMETRY_FAMILIES
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats
 
 FAMILIES_OF: Mapping[str, Mapping[str, tuple[str, str]]] = {
@@ -64,10 +63,6 @@ class MotionChannel:
         """Return the evidence [nats] for a hypothesis in addition to the others."""
         rest = [term for term in model if term != hypothesis]
         return self.fit.log_posterior - self._fit(rest).log_posterior - hypothesis.price
-
-    def needed(self, model: Sequence[Term], hypothesis: Term) -> float:
-        """Return the evidence [nats] that a hypothesis needs."""
-        return SCAN.selection.threshold
 
 
 def admitted_structure(

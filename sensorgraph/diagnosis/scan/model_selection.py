@@ -183,10 +183,6 @@ class EffectSearch:
             return math.inf
         return worth(self.data, hypothesis, self.current, self.rest(index))
 
-    def needed(self, model: Sequence[Amendment], hypothesis: Amendment) -> float:
-        """Return the evidence [nats] that an effect needs to stay."""
-        return self.threshold
-
     def _fit(self, model: tuple[Amendment, ...], state: State, outer: int, inner: int) -> Fitted:
         return fit(self.data, model, state, self.noise_bounds, outer=outer, inner=inner)
 
