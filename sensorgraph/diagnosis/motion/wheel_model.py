@@ -226,11 +226,6 @@ class WheelModel:
             simulated=np.zeros_like(self.y),
         )
 
-    def evidence(self, terms: Sequence[Term], term: Term) -> float:
-        """Return the evidence of an effect in addition to a set, less its complexity penalty [nats]."""
-        rest = [other for other in terms if other != term]
-        return self.fit([*rest, term]).log_posterior - self.fit(rest).log_posterior - term.price
-
     # report
 
     def error_without(self, fit: Fit, missing: Floats) -> SimulationError:

@@ -250,7 +250,7 @@ def log_p_at(
     if noise_bounds is not None:
         noise_bounds = strays_taken(model, noise_bounds)
         for _ in range(SCAN.fit.rounds):
-            noise = fitted_noise(data, at.expected, responsibilities, noise, noise_bounds)
+            noise = fitted_noise(data, at.expected, responsibilities, noise_bounds)
             responsibilities = e_step(data, at.expected, shift, noise)
     return responsibilities.log_p
 

@@ -280,7 +280,7 @@ def iterate(
         delta = system.poses_at(optimum.x)
         length = np.sqrt(np.einsum("ni,nij,nj->n", delta, inverse, delta))
         state.delta = delta * np.minimum(1.0, MAX_POSE_ERROR / np.maximum(length, 1e-9))[:, None]
-        state.noise = fitted_noise(solver.data, solver.expected, responsibilities, state.noise, noise_bounds)
+        state.noise = fitted_noise(solver.data, solver.expected, responsibilities, noise_bounds)
         state.pose_scale, state.map_scale = _scales(solver, system, lower, state, noise_bounds)
         box = solver.box(state)  # the bounds may have shrunk since g was solved for
         state.g = np.clip(state.g, -box, box)

@@ -172,7 +172,6 @@ def fitted_noise(
     data: ScanData,
     expected: ExpectedReadings,
     responsibilities: Responsibilities,
-    noise: BeamNoise,
     noise_bounds: NoiseBounds,
 ) -> BeamNoise:
     """Update the scale and the shares of tail, missing returns and outliers from the responsibilities (M step of EM, in closed form)."""
