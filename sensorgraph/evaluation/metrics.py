@@ -100,12 +100,10 @@ class MetricSums:
             if not use.any():
                 continue
             seen, told = (ranges[use, None] * ray[use] for ranges in (z, predicted))
-            there, back = cKDTree(told).query(seen)[0], cKDTree(seen).query(told)[0]
-            recall, precision = (there <= MATCH_DISTANCE).mean(), (back <= MATCH_DISTANCE).mean()
+            there, back = (np.asarray(cKDTree(a).query(b)[0]) for a, b in ((told, seen), (seen, told)))
+            recall, precision = np.mean(there <= MATCH_DISTANCE), np.mean(back <= MATCH_DISTANCE)
             self.chamfer.append(float(there.mean() + back.mean()) / 2)
-            self.f_score.append(
-                float(2 * recall * precision / (recall + precision)) if recall + precision else 0.0
-            )
+            self.f_score.append(float(2 * recall * precision / max(recall + precision, 1e-300)))
 
     def metrics(self, errors: Floats) -> Metrics:
         """Compute the metrics of the block.
