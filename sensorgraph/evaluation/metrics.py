@@ -101,9 +101,9 @@ class MetricSums:
                 continue
             seen, told = (ranges[use, None] * ray[use] for ranges in (z, predicted))
             there, back = (np.asarray(cKDTree(a).query(b)[0]) for a, b in ((told, seen), (seen, told)))
-            recall, precision = np.mean(there <= MATCH_DISTANCE), np.mean(back <= MATCH_DISTANCE)
+            recall, precision = (float(np.mean(off <= MATCH_DISTANCE)) for off in (there, back))
             self.chamfer.append(float(there.mean() + back.mean()) / 2)
-            self.f_score.append(float(2 * recall * precision / max(recall + precision, 1e-300)))
+            self.f_score.append(2 * recall * precision / max(recall + precision, 1e-300))
 
     def metrics(self, errors: Floats) -> Metrics:
         """Compute the metrics of the block.
