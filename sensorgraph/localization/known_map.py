@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planners.kernel import inner_kernel, outer_kernel
+from planners.kernel import inner_kernel, kernel
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization.branch_and_bound import MaxPyramid, SearchWindow
 from sensorgraph.localization.displaced_walls import StraightWalls
@@ -165,7 +165,7 @@ def known_map(
     )
 
 
-@outer_kernel
+@kernel
 def _judge(
     values: NDArray[np.uint8],
     origin: Floats,
