@@ -10,6 +10,7 @@ from test_diagnosis_commissioning import ARENA, ROBOT, site_run
 
 from benchmarks.planted_site import scans_alone
 from planners.types import Floats
+from sensorgraph.diagnosis.result import ChannelResult, Rival, without_close_calls
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -70,6 +71,15 @@ def test_a_robot_that_stands_stays_in_one_part(null: Fitted) -> None:
     unjudged = data.ranges.copy()
     unjudged[:80] = np.nan  # half of the run says nothing: all parts are of the other half
     assert (parts_of_way(replace(data, ranges=unjudged))[:80] == 0).all()
+
+
+def test_a_lead_that_clutter_may_bring_does_not_choose() -> None:
+    found = replace(BIAS, evidence=400.0)
+    rival = Rival(name="range_drift", instead_of="range_bias", evidence_nats=380.0, separates="")
+    result = ChannelResult(channel="scan", effects=(found,), rivals=(rival,))
+    assert without_close_calls(result).effects == (found,)
+    far = replace(rival, required_nats=60.0)
+    assert without_close_calls(replace(result, rivals=(far,))).undecided == (found,)
 
 
 def test_a_located_log_with_a_scan_that_has_no_pose_keeps_the_poses_of_the_others() -> None:

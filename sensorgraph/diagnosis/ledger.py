@@ -21,7 +21,6 @@ from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.selection import FAMILIES_OF
 from sensorgraph.diagnosis.report.quantities import quantity, symbol, title_of
 from sensorgraph.diagnosis.result import ChannelResult
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 
@@ -98,7 +97,7 @@ def _accepted(result: ChannelResult) -> Iterator[Entry]:
         if rival is not None:
             is_open = any(a is one for one in result.undecided)
             lead = abs((a.evidence or 0.0) - rival.evidence_nats)
-            facts = replace(facts, lead=lead, required_lead=SCAN.naming.rival_margin if is_open else 0.0)
+            facts = replace(facts, lead=lead, required_lead=rival.required_nats if is_open else 0.0)
             entry = replace(
                 entry,
                 rival=Competitor(

@@ -137,6 +137,8 @@ class Rival:
     evidence_nats: float
     separates: str
     """What would distinguish the two."""
+    required_nats: float = SCAN.naming.rival_margin
+    """[nats] Minimum difference of evidence; below it, the two are undecided."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,5 +214,4 @@ def _is_close(a: Amendment, rival: Rival) -> bool:
 
     A rival that is far ahead was rejected for another reason, and is not close.
     """
-    lead = abs((a.evidence or 0.0) - rival.evidence_nats)
-    return rival.instead_of == a.name and lead < SCAN.naming.rival_margin
+    return rival.instead_of == a.name and abs((a.evidence or 0.0) - rival.evidence_nats) < rival.required_nats

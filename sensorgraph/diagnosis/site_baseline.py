@@ -94,13 +94,19 @@ class SiteBaseline:
 
         Smooth whole-sensor effects with a baseline interval are omitted: the interval is the sharper test.
         """
+        return {
+            name: most
+            for name, most in self._most_nats(windows, n_readings).items()
+            if not _has_sharper_test(name, intervals)
+        }
+
+    def _most_nats(self, windows: Sequence[WindowEstimate], n_readings: int) -> dict[str, float]:
+        """Return the evidence [nats] that clutter may give to each effect in a run with this number of readings."""
         factor = SCAN.site.clutter_factor_of_one if self.n_runs == 1 else SCAN.site.clutter_factor
         most: dict[str, float] = {}
         for w in windows:
             size = float(np.sqrt(n_readings / w.n_readings))
             for name, gain in w.gains.items():
-                if name in intervals and EFFECTS[name].nuisances:
-                    continue
                 most[name] = max(most.get(name, 0.0), factor * gain * (1.0 if _is_local(name) else size))
         return most
 
@@ -114,10 +120,15 @@ class SiteBaseline:
         floors = self.clutter_nats(windows, intervals, data.ranges.size)
         clutter = {name: max(nats - SCAN.selection.threshold, 0.0) for name, nats in floors.items()}
         clutter |= dict.fromkeys(self.not_looked_for, float("inf"))
+        leads = {
+            name: nats
+            for name, nats in self._most_nats(windows, data.ranges.size).items()
+            if _has_sharper_test(name, intervals)
+        }
         return replace(
             data,
             laser_frame=False,
-            site=SitePrior(floors=clutter, intervals=intervals),
+            site=SitePrior(floors=clutter, leads=leads, intervals=intervals),
             memo={},
         )
 
@@ -131,6 +142,11 @@ class SiteBaseline:
             if beyond > 0:
                 return replace(fit, told=replace(told, misfit=beyond))
         return replace(fit, told=None)
+
+
+def _has_sharper_test(name: str, intervals: Mapping[str, BaselineInterval]) -> bool:
+    """Tell whether an effect is a smooth whole-sensor effect, whose size is compared with known-good runs."""
+    return name in intervals and bool(EFFECTS[name].nuisances)
 
 
 def _is_local(name: str) -> bool:

@@ -32,7 +32,7 @@ from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.standard_errors import evidence_beside_wander
 from sensorgraph.diagnosis.scan.unnamed import Doubt, titles
-from sensorgraph.diagnosis.scan.worth import is_within_baseline
+from sensorgraph.diagnosis.scan.worth import is_within_baseline, n_parameters
 from sensorgraph.effects import Amendment
 
 IMITATED = Objection("mean_pose_error", "the mean error of a reference that drifts may imitate it")
@@ -107,7 +107,7 @@ def name_scan_effects(
             if rule is IMITATED
         },
         unknown=_unknown(fit.told),
-        rivals=tuple(_rival(explained, i) for i in order if i in explained.rivals),
+        rivals=tuple(_rival(data, explained, i) for i in order if i in explained.rivals),
         deviations=tuple(deviations),
         notes={"immaterial": list(fit.immaterial)} if fit.immaterial else {},
     )
@@ -121,7 +121,7 @@ def name_scan_effects(
     )
 
 
-def _rival(explained: Explained, index: int) -> Rival:
+def _rival(data: ScanData, explained: Explained, index: int) -> Rival:
     """Return the second best explanation of what an effect of the model explains."""
     a, (rival, short) = explained.final.model[index], explained.rivals[index]
     return Rival(
@@ -129,7 +129,17 @@ def _rival(explained: Explained, index: int) -> Rival:
         instead_of=a.name,
         evidence_nats=explained.gains[index] - short,
         separates=separation(a, rival),
+        required_nats=_margin(data, a, rival),
     )
+
+
+def _margin(data: ScanData, a: Amendment, rival: Amendment) -> float:
+    """Return the lead [nats] that an effect needs over its rival.
+
+    At a commissioned site, the lead must also exceed the evidence that clutter brings.
+    """
+    is_special = n_parameters(rival) > n_parameters(a)  # as a warm-up, which is a bias if it ends at once
+    return max(SCAN.naming.rival_margin, 0.0 if is_special else data.site.lead(a, rival))
 
 
 def located(amendment: Amendment, data: ScanData) -> Amendment:

@@ -90,6 +90,9 @@ class SitePrior:
 
     floors: Mapping[str, float] = field(default_factory=dict)
     """Effect -> [nats] Additional evidence that its name requires; inf: not searched for."""
+    leads: Mapping[str, float] = field(default_factory=dict)
+    """Smooth effect of the whole sensor -> [nats] Evidence that clutter alone may contribute. A smaller lead does
+    not decide against a rival that is also outside its own interval."""
     intervals: Mapping[str, BaselineInterval] = field(default_factory=dict)
     """Effect -> Sizes that fits to the runs show."""
 
@@ -101,6 +104,13 @@ class SitePrior:
     def floor(self, name: str) -> float:
         """Return the additional evidence [nats] that the name of an effect requires."""
         return self.floors.get(name, 0.0)
+
+    def lead(self, a: Amendment, rival: Amendment) -> float:
+        """Return the lead [nats] over a rival that clutter alone may give an effect; 0 if the rival has a usual size."""
+        usual = self.intervals.get(rival.name)
+        if a.name not in self.leads or usual is None or usual.contains(rival, usual.stderr):
+            return 0.0
+        return max(self.leads[a.name], self.leads.get(rival.name, 0.0))
 
 
 def even_scale(name: str, values: Mapping[str, float]) -> dict[str, float]:
