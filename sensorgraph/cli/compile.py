@@ -4,13 +4,6 @@ from __future__ import annotations
 
 import typer
 
-ROOM = """{"type": "FeatureCollection", "features": [
-{"type": "Feature", "properties": {"name": "room", "kind": "arena"}, "geometry": {"type": "Polygon",
- "coordinates": [[[0, 0], [2.4, 0], [2.4, 1.6], [0, 1.6], [0, 0]]]}},
-{"type": "Feature", "properties": {"name": "box", "kind": "obstacle"}, "geometry": {"type": "Polygon",
- "coordinates": [[[1.4, 0.9], [1.8, 0.9], [1.8, 1.2], [1.4, 1.2], [1.4, 0.9]]]}}]}"""
-"""A room so small that little but compiling takes time."""
-
 
 def compile_kernels() -> None:
     """Compile ahead what plan, record, build, evaluate and diagnose compile on first use, in two processes.
@@ -30,7 +23,7 @@ def compile_kernels() -> None:
     from planners.maps import geojson
     from sensorgraph.building.build import build
     from sensorgraph.cli.progress import progress
-    from sensorgraph.demo import BASELINE, demo
+    from sensorgraph.demo import BASELINE, ROOM, demo
     from sensorgraph.files import unfinished
     from sensorgraph.world.robot import load_robot
 
