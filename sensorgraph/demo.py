@@ -32,7 +32,7 @@ from sensorgraph.show.figures.drives import race_picture
 from sensorgraph.show.review.review import review
 from sensorgraph.types import Floats, Progress, ProgressBars
 from sensorgraph.world.raycast import cast
-from sensorgraph.world.robot import Robot
+from sensorgraph.world.robot import Robot, load_robot
 from sensorgraph.world.scene import apply_range_limits
 from sensorgraph.world.simulate import EPOCH_NS, occupancy_map
 from sensorgraph.world.wall_distance import WallDistance
@@ -159,7 +159,9 @@ def _side_work(
     """Compile what the graph takes, unless it is in the cache; then hide an effect and find it."""
     if not _is_compiled(_e_step):
         rng = np.random.default_rng(0)
-        exact = check_run(geojson.loads(ROOM), robot, rng, N_SCANS)
+        exact = check_run(
+            geojson.loads(ROOM), load_robot(), rng, N_SCANS
+        )  # the robot of the demo may not fit
         noisy = replace(exact, poses=exact.poses + rng.normal(0, POSE_NOISE, exact.poses.shape))
         evaluate(build([noisy]), exact)
     return hide_and_find(folder, arena, robot, seed, progress=progress)

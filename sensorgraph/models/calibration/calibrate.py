@@ -61,7 +61,7 @@ PROBE_READINGS = 250_000
 COARSE_SIGMAS, FINE_SIGMA = (0.025, 0.015), 0.012
 """[m] Range noise assumed in the coarse rounds and in the fine ones."""
 MAX_REFINEMENTS = 20
-"""Maximum number of times that faces and poses are refined in turn, for a laser as specified."""
+"""Maximum number of times that faces and poses are refined in turn."""
 GAUGE_REACHES = (0.012, 0.003)
 """[m] Half width of the search for the gauge in each fine round."""
 SELECTIONS = 3
@@ -251,7 +251,7 @@ class _JointCalibration:
         return 0.5 * float(offset @ np.linalg.solve(spread, offset)) - 3 * penalty, terms
 
     def run(self, tick: Progress) -> CalibratedFaces:
-        """Calibrate from coarse to fine; for a laser as specified, only refine the poses."""
+        """Calibrate from coarse to fine, then refine poses and faces; for a laser as specified, only the latter."""
         reaches, sigmas = (GAUGE_REACHES, COARSE_SIGMAS) if self.laser_differs else ((), ())
         work = WorkCounter(tick, len(sigmas) + 2 * len(reaches) + 1)  # stages of similar duration
         if self.laser_differs:
