@@ -24,7 +24,7 @@ from sensorgraph.demo_effect import HiddenEffect, hide_and_find
 from sensorgraph.evaluation.evaluate import Evaluation, evaluate
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import attachments_of
-from sensorgraph.models.faces.visibility import _e_step
+from sensorgraph.models.faces.prediction import predict_rays
 from sensorgraph.other_process import OtherProcess
 from sensorgraph.planning.plan_folder import counted, save
 from sensorgraph.recording.record import record
@@ -157,7 +157,7 @@ def _side_work(
     folder: Path, arena: Arena, robot: Robot, seed: int, *, progress: ProgressBars
 ) -> HiddenEffect:
     """Compile what the graph takes, unless it is in the cache; then hide an effect and find it."""
-    if not _is_compiled(_e_step):
+    if not _is_compiled(predict_rays):
         rng = np.random.default_rng(0)
         exact = check_run(
             geojson.loads(ROOM), load_robot(), rng, N_SCANS
