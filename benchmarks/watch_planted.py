@@ -25,6 +25,7 @@ from benchmarks.arguments import log_of_halves, parser_of
 from benchmarks.localize_in_map import Halves, halves
 from benchmarks.particle_filter import driven
 from benchmarks.watch import Watched, clean_scans
+from logs.run import RangeSensor
 from logs.transforms import compose, invert
 from planners.types import Bools, Floats
 from sensorgraph.watching.place import PlaceChange
@@ -115,9 +116,8 @@ def robot_part(data: Halves, n: int, faults: Mapping[str, float]) -> None:
         )
 
 
-def with_things(watched: Watched, data: Halves, things: Floats) -> Watched:
+def with_things(watched: Watched, sensor: RangeSensor, things: Floats) -> Watched:
     """Return the scans with round things (n, 2) [m] that stop the rays."""
-    sensor = data.second.sensor
     lasers = compose(watched.believed, np.tile(sensor.mount, (len(watched.stamps), 1)))
     ranges = watched.ranges.copy()
     angles = lasers[:, 2:] + sensor.bearings
@@ -133,7 +133,7 @@ def with_things(watched: Watched, data: Halves, things: Floats) -> Watched:
 
 def passes_of(watched: Watched, data: Halves, thing: Floats) -> list[tuple[float, float]]:
     """Return begin and end [s] of each pass with a thing in sight, ahead of the walls."""
-    shown = with_things(watched, data, thing[None]).ranges < watched.ranges - 0.1
+    shown = with_things(watched, data.second.sensor, thing[None]).ranges < watched.ranges - 0.1
     near = np.hypot(*(watched.believed[:, :2] - thing).T) < IN_SIGHT
     stamps = watched.stamps[near & (shown.sum(axis=1) >= 3)]
     if len(stamps) == 0:
@@ -170,7 +170,9 @@ def place_part(data: Halves, n: int, rng: np.random.Generator) -> None:
     plain = last.changes
     print(f"without things: {len(plain)} changes, {len(plain) / hours:.1f} per hour")
     told = list(
-        watch_scans(data.graph, with_things(watched, data, things).observations(), data.second.sensor)
+        watch_scans(
+            data.graph, with_things(watched, data.second.sensor, things).observations(), data.second.sensor
+        )
     )
     found = 0
     for thing in things:

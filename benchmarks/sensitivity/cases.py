@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,14 @@ from benchmarks.hidden_effects.entrants.product import run_of
 from benchmarks.hidden_effects.worlds.own.cases import make
 from benchmarks.locate import aligned, office_run
 from benchmarks.offices import office
-from benchmarks.places import vehicle
+from benchmarks.places import arena_named, vehicle
 from benchmarks.sensitivity import Answer
 from benchmarks.uncalibrated_laser import Laser, free_poses
+from benchmarks.watch import Watched
+from benchmarks.watch_planted import with_things
 from logs import Run
 from logs.run import RangeSensor
+from logs.transforms import compose, invert
 from planners import plan
 from planners.maps import geojson
 from planners.types import Bools
@@ -29,8 +33,12 @@ from sensorgraph.building.build import build
 from sensorgraph.diagnosis.diagnose import diagnose, diagnose_motion
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.loading import load_arena
+from sensorgraph.localization.locate import walls_of_place
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.models.base import OFF_DISTANCE
+from sensorgraph.surveying import trends
+from sensorgraph.surveying.building import changed_places
+from sensorgraph.watching.watcher import watch_scans
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import parse_robot
 
@@ -179,6 +187,84 @@ def planned(walls: dict[str, list[tuple[float, float]]], drive: str = "diff", **
     return answer
 
 
+def watched(office_seed: int) -> Answer:
+    """Return what watches a drive to and fro, with a new thing, missing returns, a worn wheel, and a kidnap at its end."""
+    run, truth = office_run(office_seed)
+    half, n, rng = run.n_scans // 2, 400, np.random.default_rng(0)
+    first = run.take_scans(slice(half))
+    graph = build([replace(first, pose_stamps=first.stamps, poses=truth[:half])], calibrate=False)
+    way, carried = half + np.arange(n), 3 * n
+    index = np.concatenate([way, way[::-1], way, way[50:150]])
+    poses, stamps = truth[index], np.arange(len(index)) / 10.0
+    steps = compose(invert(poses[:-1]), poses[1:]) * [1.03, 1.03, 1.0]
+    steps[carried - 1] = 0.0
+    scans = Watched(
+        stamps=stamps, ranges=run.ranges[index], believed=poses, changed=carried,
+        odometry=np.array(list(accumulate(steps, compose, initial=poses[0]))),
+    )  # fmt: skip
+    thing = compose(truth[half + n // 2], np.array([0.0, 0.6, 0.0]))[:2]
+    scans = with_things(scans, run.sensor, thing[None])
+    scans.ranges[rng.random(scans.ranges.shape) < 0.05] = np.inf
+    scans.believed[carried:] = compose(poses[carried - 1], compose(invert(poses[carried]), poses[carried:]))
+    planted = {"missing_returns", "wheel_radius"}
+
+    def answer() -> dict[str, float]:
+        said = list(watch_scans(graph, scans.observations(), run.sensor))
+        wrong = np.array([one.t for one in said if one.pose.status != "ok"])
+        late = wrong[wrong >= stamps[carried]] - stamps[carried]
+        faults = {one.name for status in said for one in status.faults}
+        return {
+            "false alarms": float(len(wrong) - len(late)), "alarm after [s]": float(late.min(initial=99.0)),
+            "new things": float(len([one for one in said[-1].changes if one.kind == "new"])),
+            "faults missed": float(len(planted - faults)), "other faults": float(len(faults - planted)),
+        }  # fmt: skip
+
+    return answer
+
+
+def fleet_trends() -> Answer:
+    """Return what looks for steps in the series of 30 robots, half of which change, and for one that differs from its sisters."""
+    rng = np.random.default_rng(0)
+    series = []
+    for robot in range(30):
+        values = rng.normal(0.0, 0.003, 20) + 0.012 * (robot % 2) * (np.arange(20) >= rng.integers(5, 15))
+        series.append(values)
+    t, sigmas = np.arange(20.0), np.full(20, 0.002)
+    levels = {f"robot{k}": (float(rng.normal(0.0, 0.003)) + 0.05 * (k == 3), 0.002) for k in range(12)}
+
+    def answer() -> dict[str, float]:
+        steps = [trends.steps_of("way_scale", t, values, sigmas) for values in series]
+        found = [any(one.probability > trends.SURE for one in some) for some in steps]
+        odd = {one.robot for one in trends.odd_robots("way_scale", levels) if one.probability > trends.SURE}
+        return {
+            "steps missed": 15.0 - sum(found[1::2]), "false steps": float(sum(found[::2])),
+            "odd missed": float("robot3" not in odd), "false odd": float(len(odd - {"robot3"})),
+        }  # fmt: skip
+
+    return answer
+
+
+def surveyed(office_seed: int) -> Answer:
+    """Return what compares a drive with the walls of its place, in which a thing is new and all ranges are 5 cm long."""
+    run, truth = office_run(office_seed)
+    scans = Watched(stamps=run.stamps, ranges=run.ranges, odometry=truth, believed=truth, changed=run.n_scans)
+    thing = compose(truth[run.n_scans // 2], np.array([0.0, 0.8, 0.0]))[:2]
+    ranges = with_things(scans, run.sensor, thing[None]).ranges + 0.05
+    run = replace(run, ranges=ranges, pose_stamps=run.stamps, poses=truth)
+    walls = walls_of_place(arena_named(str(office_seed))).walls
+
+    def answer() -> dict[str, float]:
+        found = changed_places(run, walls)
+        near = np.hypot(*(found.new - thing).T) < 0.5
+        offset = np.nan if found.offset is None else found.offset[0]
+        return {
+            "thing missed": float(not near.any()), "other cells": float((~near).sum() + len(found.gone)),
+            "offset [mm]": 1000 * offset,
+        }  # fmt: skip
+
+    return answer
+
+
 def box(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float]]:
     """Return the corners of a box."""
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
@@ -263,4 +349,9 @@ GROUPS = {
         packages=("planners.cars", "planners.search", "planners.methods"),
         cases={"room, dubins": lambda: planned(ROOM, "dubins")},
     ),
+    "surveying": Group(
+        packages=("sensorgraph.surveying",),
+        cases={"trends": fleet_trends, "office 101": lambda: surveyed(101)},
+    ),
+    "watching": Group(packages=("sensorgraph.watching",), cases={"office 101": lambda: watched(101)}),
 }  # fmt: skip
