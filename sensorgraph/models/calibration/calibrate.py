@@ -224,12 +224,13 @@ class _JointCalibration:
 
     def _test_evidence(self) -> tuple[float, float, RefinedPoses]:
         """Return the log evidence [nats] of the mount and of all other terms, and refined poses."""
-        better = self._poses(self.match())
-        mount = self._gains_of(better)[0] if self.can_mount else 0.0
+        matches = self.match()
+        better = self._poses(matches)
+        mount, terms = self._gains_of(better, matches)
         kept = self.shifts
         if better.log_evidence > CALIBRATION.min_gain:
             self.shifts = better.shifts
-        terms = self._gains_of(better)[1]
+            terms = self._gains_of(better, self.match())[1]
         self.shifts = kept
         logger.info(
             "calibration: mount %.0f, terms %.0f, poses %.0f nats (%.2f mm, %.3f mrad)",
@@ -237,14 +238,16 @@ class _JointCalibration:
         )  # fmt: skip
         return mount, terms, better
 
-    def _gains_of(self, better: RefinedPoses) -> tuple[float, float]:
+    def _gains_of(self, better: RefinedPoses, matches: Matches) -> tuple[float, float]:
         """Return the log evidence [nats] of the mount alone, given the noise of the poses, and of the other terms."""
-        normal = normal_equations(self.readings, self.lasers, self.match(), self.faces, hold=False)
+        normal = normal_equations(self.readings, self.lasers, matches, self.faces, hold=False)
         penalties = self._penalties(normal, incidence=True)
         penalty = penalties[0]
         penalties[MOUNT] = np.inf
         terms = select_terms(normal, np.zeros(len(penalties)), penalties)[2]
         limits = np.array([better.sigma_xy, better.sigma_xy, better.sigma_yaw]) ** 2 / self.n_scans
+        if not self.can_mount:
+            return 0.0, terms
         mount_matrix = normal.matrix[MOUNT, MOUNT] + RIDGE * np.eye(3)
         spread = np.linalg.inv(mount_matrix) + np.diag(limits)
         offset = np.linalg.solve(mount_matrix, normal.rhs[MOUNT])

@@ -118,18 +118,17 @@ def match_readings(
     """Find the face of every reading and correct its range; `mean_bias` is S [m] for readings without a face."""
     rays = RayArrays(*directions_of(readings, lasers), readings.ranges, readings.range_max, np.zeros(0))
     n = len(readings)
-    values = np.zeros((n, 7))
-    values[:, 0] = readings.ranges
+    values = np.zeros((7, n))
+    values[0] = readings.ranges
     face = np.full(n, -1, dtype=np.intp)
     _match_readings(
         rays, readings.ray, faces, bucket_grid(faces), noise.array, (terms.constant, terms.slope, terms.incidence),
         mean_bias, new_march(), face, values,
     )  # fmt: skip
-    columns = np.ascontiguousarray(values.T)
+    ranges, rho, den, along, at, probability, weight = values
     return Matches(
-        ranges=columns[0], face=face, rho=columns[1], den=columns[2], along=columns[3], at=columns[4],
-        probability=columns[5], weight=columns[6],
-    )  # fmt: skip
+        ranges=ranges, face=face, rho=rho, den=den, along=along, at=at, probability=probability, weight=weight
+    )
 
 
 def mean_incidence(matches: Matches, terms: RayTerms) -> float:
@@ -157,7 +156,7 @@ def _match_readings(
     rays: Any, ray: Any, faces: Any, buckets: Any, noise: Any, terms: Any, mean_bias: Any, march: Any, face: Any,
     values: Any,
 ) -> Any:  # fmt: skip
-    """Fill face (n,) and values (n, 7), the other fields of `Matches`: the face m that most probably stopped each ray.
+    """Fill face (n,) and values (7, n), the other fields of `Matches`: the face m that most probably stopped each ray.
 
     p_m = S_m alpha_m N(e_m; 0, var_m) as in `faces.visibility`, with the residual of the corrected range
     e_m = (z - c_0 - S(v_m, q_m)) / (1 + c_1) - r_m. Its probability is p_m / (sum_i p_i + before * stray).
@@ -193,21 +192,21 @@ def _match_readings(
                 before = survival * (1 - alpha)
             survival *= 1 - alpha
         if at < 0:
-            values[i, 0] = max(base - mean_bias / gain, MIN_RANGE)
+            values[0, i] = max(base - mean_bias / gain, MIN_RANGE)
             continue
         f = k[at]
         den = normals[f, 0] * ux + normals[f, 1] * uy
         along = -normals[f, 1] * ux + normals[f, 0] * uy
         probability = best / (total + before * noise[3])
         face[i] = f
-        values[i, 0] = max(r[at] + best_e, MIN_RANGE)
-        values[i, 1], values[i, 2], values[i, 3] = r[at], den, along
-        values[i, 4] = t[at] + best_e * along
-        values[i, 5] = probability
+        values[0, i] = max(r[at] + best_e, MIN_RANGE)
+        values[1, i], values[2, i], values[3, i] = r[at], den, along
+        values[4, i] = t[at] + best_e * along
+        values[5, i] = probability
         if (
             probability > 0.5
             and den < -MIN_COSINE
             and best_e * best_e < FIT_GATE * best_var
             and z < range_max
         ):
-            values[i, 6] = probability / best_var
+            values[6, i] = probability / best_var
