@@ -20,13 +20,14 @@ from numba.core.typing.templates import _OverloadFunctionTemplate
 
 PRODUCT = ("sensorgraph", "planners", "logs", "robotmodic_ident")
 SHARE = re.compile(
-    "share|quantile|probability|chance|correlation|confidence|matching|cosine|dropout|absorber|discount|level"
+    "share|quantile|probability|chance|correlation|confidence|matching|cosine|dropout|absorber|discount|level|sure|start|predicted"
 )
 """Names of numbers that are below 1 by their nature."""
-OF_MATHEMATICS = {
+UNTUNED = {
     "CHI2_MEDIAN_1", "CHI2_MEDIAN_3", "GOLDEN_RATIO", "SIGMA_OF_MAD", "ROUND_OFF", "SQRT_HALF", "DENSITY_AT_0",
+    "NO_RETURN", "BROKEN", "NO_LINE",
 }  # fmt: skip
-"""Constants that nobody has tuned."""
+"""Constants that nobody has tuned: of mathematics, and codes in arrays of integers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ def numbers_of(*packages: str) -> Iterator[Number]:
     """Yield the numbers of the modules of packages."""
     for module in modules_of(*packages):
         names = assigned(module)
-        for name in [name for name in names if name not in OF_MATHEMATICS]:
+        for name in [name for name in names if name not in UNTUNED]:
             value = getattr(module, name)
             if is_literal(names[name]) or is_settings(value) or is_settings_dict(value):
                 yield from parts_of(Number(module=module, name=name))
