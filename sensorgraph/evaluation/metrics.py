@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from planners.kernel import outer_kernel
 from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
 from sensorgraph.types import Bools, Floats
 
@@ -95,15 +96,12 @@ class MetricSums:
         Chamfer is half the sum of the mean distances to the nearest end point, measured to predicted and predicted to
         measured. The f-score is the harmonic mean of both shares within 0.1 m. Scans without a scored ray do not count.
         """
-        ray = np.stack([np.cos(self.bearings), np.sin(self.bearings)], axis=1)
-        for z, predicted, use in zip(measured, value, scored, strict=True):
-            if not use.any():
-                continue
-            seen, told = (ranges[use, None] * ray[use] for ranges in (z, predicted))
-            there, back = (np.asarray(cKDTree(a).query(b)[0]) for a, b in ((told, seen), (seen, told)))
-            recall, precision = (float(np.mean(off <= MATCH_DISTANCE)) for off in (there, back))
-            self.chamfer.append(float(there.mean() + back.mean()) / 2)
-            self.f_score.append(2 * recall * precision / max(recall + precision, 1e-300))
+        cos, sin = np.cos(self.bearings), np.sin(self.bearings)
+        rows = np.full((len(measured), 4), np.nan)
+        _compare_end_points(cos, sin, measured, value, scored, MATCH_DISTANCE, np.empty((6, len(cos))), rows)
+        there, back, recall, precision = rows[scored.any(axis=1)].T
+        self.chamfer += ((there + back) / 2).tolist()
+        self.f_score += (2 * recall * precision / np.maximum(recall + precision, 1e-300)).tolist()
 
     def metrics(self, errors: Floats) -> Metrics:
         """Compute the metrics of the block.
@@ -164,3 +162,39 @@ class Reliability:
             for predicted, wrong, n in self.sums.T.tolist()
             if n
         ]
+
+
+@outer_kernel
+def _compare_end_points(
+    cos: Any, sin: Any, measured: Any, predicted: Any, scored: Any, tolerance: Any, work: Any, rows: Any
+) -> Any:
+    """Fill rows (n_scans, 4): mean distance [m] from measured to predicted end points and back, and both shares within a tolerance.
+
+    Parameters
+    ----------
+    cos, sin : (n_rays,) of the bearings.
+    measured, predicted : (n_scans, n_rays) [m] of the rays that are `scored`.
+    work : (6, n_rays) for the end points of one scan and their squared distances.
+    """
+    x, y, told_x, told_y, there, back = work
+    for k in range(len(measured)):
+        n = 0
+        for i in range(len(cos)):
+            if scored[k, i]:
+                x[n], y[n] = measured[k, i] * cos[i], measured[k, i] * sin[i]
+                told_x[n], told_y[n] = predicted[k, i] * cos[i], predicted[k, i] * sin[i]
+                back[n] = np.inf
+                n += 1
+        for i in range(n):
+            least = np.inf
+            for j in range(n):
+                square = (told_x[j] - x[i]) ** 2 + (told_y[j] - y[i]) ** 2
+                least, back[j] = min(least, square), min(back[j], square)
+            there[i] = least
+        for column in range(2 if n else 0):
+            total, within = 0.0, 0
+            for i in range(n):
+                square = work[4 + column, i]
+                total += math.sqrt(square)
+                within += square <= tolerance * tolerance
+            rows[k, column], rows[k, 2 + column] = total / n, within / n
