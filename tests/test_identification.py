@@ -46,6 +46,16 @@ def test_rays_are_counted_from_the_robots_right() -> None:
         rays_of(sensor, "L200")
     with pytest.raises(SensorgraphError, match="L45-90"):
         rays_of(sensor, "L90-45")
+    with pytest.raises(SensorgraphError, match="L45-900 spans 855°"):
+        rays_of(sensor, "L45-900")
+
+
+def test_each_ray_of_a_full_turn_has_a_name() -> None:
+    sensor = RangeSensor(bearings=np.radians(np.arange(360.0) - 180.0))
+    named = [rays_of(sensor, f"L{k}").tolist() for k in range(360)]
+    assert named == [[(k + 90) % 360] for k in range(360)]
+    assert rays_of(sensor, "L350-370").tolist() == list(range(80, 101))
+    assert rays_of(sensor, "L300-315").tolist() == list(range(30, 46))
 
 
 def test_signals_of_a_run_are_those_at_its_scans() -> None:

@@ -20,7 +20,6 @@ from logs.formats import table
 from logs.formats.text import first_bytes, parses_as_number, read_lines
 from logs.run import RangeSensor, Run, pair
 from logs.sensor import median_step
-from planners.arena import wrap
 from robotmodic_ident import Record
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import log_notes
@@ -30,6 +29,8 @@ POSE = ("x", "y", "phi", "cos_phi", "sin_phi")
 ODOMETRY = ("v", "omega")
 COMMANDS = ("cmd_v", "cmd_omega")
 RAY_PATTERN = re.compile(r"L(\d+(?:\.\d+)?)(?:-(\d+(?:\.\d+)?))?")
+ANGLE_TOLERANCE = 1e-6
+"""[deg] Rounding error of a bearing."""
 RESERVED_NAMES = ("cos", "sin", "e")
 """Names with a meaning in terms: functions, and the noise."""
 STEP_TOLERANCE, MAX_UNEVEN_SHARE = 0.2, 0.1
@@ -72,22 +73,28 @@ def variables(names: Iterable[str]) -> dict[str, str]:
 
 
 def rays_of(sensor: RangeSensor, name: str) -> Ints:
-    """Return the indices of the rays of a signal such as `L67` or `L45-90`."""
+    """Return the indices of the rays of a signal such as `L67`, `L45-90` or, across the robot's right, `L330-390`."""
     found = RAY_PATTERN.fullmatch(name)
     assert found is not None
-    degrees = np.degrees(wrap(sensor.bearings + sensor.mount[2])) + 90.0
+    degrees = np.degrees(sensor.bearings + sensor.mount[2]) + 90.0
     low, high = float(found[1]), float(found[2] or found[1])
     if high < low:
         raise SensorgraphError(f"{name} has its larger angle first; write L{high:g}-{low:g}")
-    step = median_step(degrees, 1.0)
-    if found[2] is None:
-        nearest = int(np.abs(degrees - low).argmin())
-        chosen = np.array([nearest] if abs(degrees[nearest] - low) <= max(step, 1e-6) else [], dtype=np.intp)
-    else:
-        chosen = np.flatnonzero((degrees >= low - 1e-6) & (degrees <= high + 1e-6)).astype(np.intp)
-    if not len(chosen):
+    if high - low > 360.0:
         raise SensorgraphError(
-            f"no ray for {name}: the sensor looks from {degrees.min():.0f}° to {degrees.max():.0f}°, "
+            f"{name} spans {high - low:g}°, expected at most 360°; correct one of its angles"
+        )
+    if found[2] is None:
+        off = np.abs((degrees - low + 180.0) % 360.0 - 180.0)
+        within = off.min() <= max(median_step(degrees, 1.0), ANGLE_TOLERANCE)
+        chosen = np.array([off.argmin()] if within else [], dtype=np.intp)
+    else:
+        past = (degrees - low + ANGLE_TOLERANCE) % 360.0
+        chosen = np.flatnonzero(past <= high - low + 2 * ANGLE_TOLERANCE).astype(np.intp)
+    if not len(chosen):
+        first = round(degrees.min()) % 360
+        raise SensorgraphError(
+            f"no ray for {name}: the sensor looks from {first}° to {first + np.ptp(degrees):.0f}°, "
             "counter-clockwise from the robot's right; choose an angle in this interval"
         )
     return chosen
