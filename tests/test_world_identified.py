@@ -206,6 +206,26 @@ def test_free_space_is_the_crossed_cells_made_wider_without_what_no_disc_fits_in
     assert shapely.union_all(parts).symmetric_difference(found).area < 1e-9  # m²
 
 
+def test_cells_behind_walls_that_do_not_quite_meet_are_not_free() -> None:
+    """In a corner, the end of a wall lies on its neighbour with the error of the fit, here 3 micrometres."""
+    crossed = np.ones((24, 24), dtype=np.bool_)  # with two cells behind each wall
+    space = ObservedSpace(
+        origin=np.array([-0.2, -0.2]), cell=0.1, counts=crossed.astype(np.uint8), free=crossed
+    )
+    slit = 3e-6  # m
+    walls = np.array(
+        [
+            [[-0.012, 0.0], [2.0, 0.0]],
+            [[2.0, 0.0], [2.0, 2.0]],
+            [[2.0, 2.0], [0.0, 2.0]],
+            [[0.0, 2.0], [0.0, slit]],
+        ]
+    )
+    inwards = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
+    room = shapely.box(0.0, 0.0, 2.0, 2.0)
+    assert room.symmetric_difference(_free_space(space, walls, inwards)).area < 1e-3  # m², beside the slit
+
+
 def race(folder: Path, out: Path, *controllers: str, seed: int = 0) -> int:
     names = [word for name in controllers for word in ("--controller", name)]
     return command(
