@@ -103,15 +103,16 @@ def check_join_planner(name: str) -> str:
             )
         return name
     try:
-        own = getattr(import_module(module), kind)
-    except (ImportError, AttributeError) as exc:
-        raise PlanError(
-            f"join planner {name!r} cannot be imported ({exc}); put its folder on PYTHONPATH"
-        ) from exc
+        imported = import_module(module)
     except Exception as exc:
+        is_absent = isinstance(exc, ModuleNotFoundError) and module.startswith(str(exc.name))
+        advice = "put its folder on PYTHONPATH" if is_absent else "fix the error in its module"
         raise PlanError(
-            f"join planner {name!r} cannot be imported ({type(exc).__name__}: {exc}); fix the error in its module"
+            f"join planner {name!r} cannot be imported ({type(exc).__name__}: {exc}); {advice}"
         ) from exc
+    if not hasattr(imported, kind):
+        raise PlanError(f"join planner {name!r}: module {module} has no {kind!r}; give the name of its class")
+    own = getattr(imported, kind)
     if not callable(own):
         raise PlanError(f"join planner {name!r} is not a class; expected one that takes a SpaceInformation")
     return name

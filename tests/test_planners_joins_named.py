@@ -60,7 +60,12 @@ def test_a_users_own_planner_is_plugged_in_by_module_and_class(
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("PRM", "is unknown; expected"), ("nowhere_to_be_found:Own", "cannot be imported")]
+    ("name", "said"),
+    [
+        ("PRM", "is unknown; expected"),
+        ("nowhere_to_be_found:Own", "cannot be imported .*on PYTHONPATH"),
+        ("planners.task:Own", "module planners.task has no 'Own'; give the name of its class"),
+    ],
 )
 def test_a_planner_that_is_not_there_is_refused_before_planning(name: str, said: str) -> None:
     with pytest.raises(PlanError, match=said):
@@ -72,13 +77,14 @@ def test_a_planner_that_is_not_there_is_refused_before_planning(name: str, said:
     [
         ("def Own(:", "cannot be imported .SyntaxError"),
         ("1 / 0", "cannot be imported .ZeroDivisionError"),
+        ("import no_such_library", "cannot be imported .*fix the error in its module"),
         ("Own = 3", "is not a class"),
         (
             "def Own(information):\n    raise ValueError('boom\\nmore')",
             r"'broken_planner:Own' ended .*ValueError: boom\);",
         ),
     ],
-    ids=["syntax", "import", "number", "raises"],
+    ids=["syntax", "import", "its own import", "number", "raises"],
 )
 def test_a_users_own_planner_that_fails_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, said: str
