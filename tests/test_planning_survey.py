@@ -7,6 +7,7 @@ import pytest
 from planners_samples import door_arena
 
 import sensorgraph as sg
+from sensorgraph.cli.messages import with_flags
 from sensorgraph.planning.survey import LaserSurvey, survey_of
 from sensorgraph.world.robot import default_robot
 
@@ -42,5 +43,8 @@ def test_a_ray_counts_what_it_is_worth() -> None:
 
 
 def test_a_graph_and_the_order_fast_contradict_each_other() -> None:
-    with pytest.raises(sg.errors.SensorgraphError, match="order anytime"):
+    with pytest.raises(sg.errors.SensorgraphError, match="order anytime") as refused:
         sg.plan("square", order="fast", graph=object.__new__(sg.Sensorgraph))
+    assert with_flags(str(refused.value)).startswith(
+        "--graph requires the order anytime; use --order anytime"
+    )
