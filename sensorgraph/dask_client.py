@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from sensorgraph.errors import SensorgraphError
@@ -24,8 +26,18 @@ def connected(address: str) -> Any:
     except ImportError:
         raise SensorgraphError("a cluster needs Dask; install it with: pip install distributed") from None
     try:
+        with ThreadPoolExecutor(1) as pool:  # a notebook has an event loop in its own thread
+            pool.submit(asyncio.run, _greet(address)).result()
         client: Any = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError, TimeoutError) as exc:
+    except (
+        TimeoutError,
+        MemoryError,
+    ) as exc:  # Dask reads the text of an HTTP server as the length of a message
+        raise SensorgraphError(
+            f"Dask at {address}: what answers is no scheduler; give the address that `dask scheduler` prints, not that of "
+            "its dashboard"
+        ) from exc
+    except (OSError, ValueError) as exc:
         raise SensorgraphError(
             f"Dask at {address}: no scheduler answers ({exc}); start one with `dask scheduler`"
         ) from exc
@@ -35,6 +47,15 @@ def connected(address: str) -> Any:
             f"Dask at {address}: the scheduler has no workers; start some with `dask worker`"
         )
     return client
+
+
+async def _greet(address: str) -> None:
+    """Exchange greetings with a scheduler, because a client waits for them without a limit."""
+    from distributed.comm.core import connect
+
+    async with asyncio.timeout(2 * CONNECT_TIMEOUT):  # longer than the limit for the connection
+        comm = await connect(address, timeout=CONNECT_TIMEOUT)  # type: ignore[no-untyped-call]
+    await comm.close()
 
 
 def n_threads(client: Any) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socketserver
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +20,7 @@ from planners.arena import Arena
 from sensorgraph.building import training_data
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
+from sensorgraph.dask_client import connected
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization import kept
 from sensorgraph.models.faces import reduction
@@ -143,6 +146,26 @@ def test_no_scheduler_is_said_in_one_line(
     assert command(["build", str(path), "--dask", "tcp://127.0.0.1:1", "-o", str(out)]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "dask scheduler" in line and not out.exists()
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b""], ids=["other words", "silence"])
+def test_a_server_that_is_no_scheduler_is_told_from_one(
+    answer: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install '.[dask]'")
+    monkeypatch.setattr("sensorgraph.dask_client.CONNECT_TIMEOUT", 0.5)
+
+    class Dashboard(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            self.request.sendall(answer)
+            while self.request.recv(4096):
+                pass
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Dashboard) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with pytest.raises(SensorgraphError, match="what answers is no scheduler"):
+            connected(f"tcp://127.0.0.1:{server.server_address[1]}")
+        server.shutdown()
 
 
 def in_centimetres(run: Run) -> Run:
