@@ -170,6 +170,7 @@ def test_nav2_map_is_read_back_as_the_arena(world: ExportedWorld, tmp_path: Path
     assert steps.index("nav2_amcl amcl") < steps.index(
         "ros2 lifecycle set"
     )  # until then Nav2's nodes do nothing
+    assert "recorded here" not in steps  # a map records no run
     parameters = yaml.safe_load((tmp_path / "amcl.yaml").read_text())["amcl"]["ros__parameters"]
     assert parameters["alpha1"] == 0.2 and parameters["z_hit"] == 0.5  # without a run, Nav2's defaults
 

@@ -129,13 +129,16 @@ def _readme(world: ExportedWorld, target: str, left_out: Sequence[str]) -> str:
     robot, sensor = world.robot, world.robot.sensor
     effects = "".join(f"- {a.effect.title}: {a.effect.physics}\n" for a in world.effects) or "- none\n"
     missing = "".join(f"- {line}\n" for line in left_out) or "- nothing\n"
+    compare = "" if target == "nav2" else (
+        " Compare a run recorded here with a run of the robot:\n\n"
+        "```bash\nsensorgraph diagnose real.mcap --simulation run.mcap -o compared\n```"
+    )  # fmt: skip
     return (
         f"# {world.name} for {target}\n\n"
         f"Written by `sensorgraph export` {__version__}: {len(world.boxes)} walls"
         f"{f', {len(world.discs)} round obstacles' if len(world.discs) else ''}, the robot {robot.name} "
         f"(radius {robot.footprint_radius:g} m), and its laser with {sensor.n_rays} rays up to {sensor.range_max:g} m.\n\n"
         f"```bash\n{FIRST_STEPS[target]}\n```\n\n"
-        f"The sources are `arena.geojson`, `robot.yaml`{', `effects.yaml`' if world.effects else ''}. Compare a run "
-        "recorded here with a run of the robot:\n\n```bash\nsensorgraph diagnose real.mcap --simulation run.mcap -o compared\n```\n\n"
+        f"The sources are `arena.geojson`, `robot.yaml`{', `effects.yaml`' if world.effects else ''}.{compare}\n\n"
         f"## Effects\n\n{effects}\n## Not in this world\n\n{missing}"
     )
