@@ -14,8 +14,9 @@ import numpy as np
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 try:
-    import irsim
-    from irsim.lib.algorithm.ray_casting_2d import boundary_segments, cast_ray_segments
+    with redirect_stdout(io.StringIO()):  # it prints the display libraries that are missing
+        import irsim
+        from irsim.lib.algorithm.ray_casting_2d import boundary_segments, cast_ray_segments
 except ImportError:
     raise SystemExit("error: drive.py needs ir-sim; install it with: pip install 'ir-sim>=2.10'") from None
 
@@ -33,10 +34,9 @@ class IrsimWorld:
     has_motors = False
 
     def __init__(self, folder: Path = HERE) -> None:
-        with redirect_stdout(io.StringIO()):  # it prints the display libraries that are missing
-            self.env = irsim.make(
-                str(folder / "world.yaml"), headless=True, disable_all_plot=True, log_level="ERROR"
-            )
+        self.env = irsim.make(
+            str(folder / "world.yaml"), headless=True, disable_all_plot=True, log_level="ERROR"
+        )
         self.robot = self.env.robot
         parts = [boundary_segments(obstacle.geometry) for obstacle in self.env.obstacle_list]
         self.first, self.last = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
