@@ -252,6 +252,7 @@ def mistaken(folder: Path) -> Path:
         (["short.mcap"], "50 or more"),
         (["run.mcap", "run.mcap"], "given twice"),
         (["run.mcap", "--simulation", "run.mcap"], "its own simulation"),
+        (["run.mcap", "--commissioning", "run.mcap"], "its own commissioning run"),
         (["run.mcap", "--simulation", "missing.mcap"], "missing.mcap"),
         (["run.mcap", "--simulation", "short.mcap"], "short.mcap: the run has 20 scans"),
         (["run.mcap", "--simulation", "second.mcap", "--commissioning", "second.mcap"], "only one of them"),

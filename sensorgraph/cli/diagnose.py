@@ -250,13 +250,13 @@ def _check(
 
     if why is not None:
         check_name(why)
-    _check_runs(runs)
+    _check_runs(runs, commissioning or ())
     _check_simulation(simulation, runs, commissioning)
     check_folder(out)
 
 
-def _check_runs(runs: Sequence[Path]) -> None:
-    """Refuse more than two runs, and a second run that is the first."""
+def _check_runs(runs: Sequence[Path], commissioning: Sequence[Path]) -> None:
+    """Refuse more than two runs, a second run that is the first, and a run that is its own commissioning run."""
     from sensorgraph.errors import SensorgraphError
 
     if len(runs) > 2:
@@ -267,6 +267,11 @@ def _check_runs(runs: Sequence[Path]) -> None:
         raise SensorgraphError(
             f"{runs[1]} is given twice; the second run verifies the result and must be a different run"
         )
+    for good in commissioning:
+        if good.exists() and any(p.exists() and p.samefile(good) for p in runs):
+            raise SensorgraphError(
+                f"{good} is given as its own commissioning run, in which nothing has changed; give another run"
+            )
 
 
 def _check_simulation(
