@@ -89,6 +89,15 @@ def test_a_place_that_is_known_better_is_no_better_than_one_that_looks_alike_and
     assert here[2, 1] == pytest.approx(found_there.elsewhere[2])  # what does not fit there remains so
 
 
+def test_readings_that_fit_by_chance_beside_the_unknown_add_nothing_to_what_resembles_another_pose() -> None:
+    """As at a pose within a wall: of rays that the graph does not answer there, some fit, and others fit the other pose."""
+    found = at_poses((0, 0, 60, 0), (36, 24, 0, 0))
+    found.ratios[0, 36:] = 3.0
+    alike = resemblance_of(found, 0.125)
+    assert alike.here[0, 0] > 6.0
+    assert alike.here[0, 1] == pytest.approx(max(alike.here[1, 1], alike.elsewhere[1]))
+
+
 PLACES = 15.0
 """Logarithm of a number of places."""
 

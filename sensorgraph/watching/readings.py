@@ -96,6 +96,11 @@ class GraphReadings:
         """Return the poses (..., 3) in the frame of the graph for poses (..., 3) of base_link in map."""
         return np.asarray(compose(base, self._mount))
 
+    def sees(self, poses: Floats) -> Bools:
+        """Tell at which poses (n, 3) of base_link in map a laser is in space that training rays crossed."""
+        lasers = self.graph.lasers(self.graph_poses(poses)[:, None])
+        return np.asarray(self.seen.contains(lasers[..., :2]).any(axis=1))
+
     def evidence(
         self, ranges: Floats, poses: Floats, which: Ints | None = None, *, expected: Prediction | None = None
     ) -> ReadingEvidence:

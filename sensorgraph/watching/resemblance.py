@@ -11,9 +11,10 @@ is the prior share of predicted readings. At another place, any share is equally
 
 A ray that stays in space that the graph does not know has R_i = 1, as a reading from anywhere. Or the surroundings resemble those
 of another pose, whose R_i it has. Where the graph answers only the share a of the rays, these end close to the unknown: an answer
-holds with the probability a. A reading that does not fit has a R_i + (1 - a) times that of unknown surroundings. The graph may also
-know a surface, but not well. A reading that fits there has the greater R_i of both. Surroundings that resemble others do so by a
-share that persists. So f counts with which the scan is more probable.
+holds with the probability a. A reading that does not fit has a R_i + (1 - a) times that of unknown surroundings. So has one that
+the graph does not answer, where the unknown surroundings are those of another pose. The graph may also know a surface, but not
+well. Of a ray that it answers, a reading that fits has the greater R_i of both. Surroundings that resemble others do so by a share
+that persists. So f counts with which the scan is more probable.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ def _likelihoods(found: ReadingEvidence, other: Floats, share: float) -> tuple[F
     """
     own, holds = found.ratios[:, None], found.answered[:, None, None]
     doubted = np.log(holds * np.exp(own) + (1.0 - holds) * np.exp(other))
-    ratios = np.where(own > 0.0, np.maximum(own, other), doubted)
+    is_known = found.known[:, None] | (other == 0.0)
+    ratios = np.where((own > 0.0) & is_known, np.maximum(own, other), doubted)
     q, weights = 0.5 * (NODES + 1.0), 0.5 * WEIGHTS
     odds = np.maximum((np.exp(ratios) - 1.0) / found.predicted, -1.0)  # R - 1
     scans = share * np.array([np.log1p(each * odds).sum(axis=2) for each in q])  # (24, n_poses, n)

@@ -274,7 +274,9 @@ class PoseTracker:
             window = SearchWindow.around(
                 pose, half_xy=max(0.5, float(spread[:2].max())), half_phi=max(0.2, float(spread[2]))
             )
-        found = find_places(self.kept.view(), self.place, window=window).poses[: self.priors.n_modes]
+        found = find_places(self.kept.view(), self.place, window=window).poses
+        # from the others, the graph has seen nothing: they are none of its places, and a robot there is elsewhere
+        found = found[self.readings.sees(found)][: self.priors.n_modes]
         poses = [compose(pose, compose(invert(last), self.drift)) for pose in found]
         new = [
             self._found(pose)
