@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from logs.transforms import compose, difference, invert
+from sensorgraph.localization.branch_and_bound import SearchWindow
 from sensorgraph.localization.global_search import MIN_POINTS
 from sensorgraph.localization.known_map import KnownMap
 from sensorgraph.localization.matching import CORRELATION, Match, match
@@ -136,6 +137,12 @@ def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -
     if (is_near or is_allowed) and found.inliers >= MAJORITY and found.agreement >= s.agreement:
         return found
     return None
+
+
+def surroundings_of(mode: Mode, back: Floats) -> SearchWindow:
+    """Return the window of three standard deviations around a mode after a motion (3,), at least 0.5 m and 0.2 rad."""
+    x, y, turn = (3.0 * np.sqrt(np.diag(mode.covariance))).tolist()
+    return SearchWindow.around(compose(mode.pose, back), half_xy=max(0.5, x, y), half_phi=max(0.2, turn))
 
 
 def velocity_of(before: Mode | None, after: Mode | None, dt: float, most: float, otherwise: Floats) -> Floats:

@@ -39,6 +39,7 @@ from sensorgraph.watching.modes import (
     joined,
     matched,
     pruned,
+    surroundings_of,
     velocity_of,
     weighed,
 )
@@ -84,16 +85,15 @@ class PoseTracker:
         """[nats] Usual evidence of an answered reading."""
         self.missing = 0.0
         """[nats] Evidence that another place could add since the scans fit less well than usual."""
-        self.limit = 0.5 * self.log_places
-        """[nats] Missing evidence from which a search is worthwhile; it doubles with each search in vain."""
-        self.kept = KeptScans(priors)
+        self.limit = self.log_places
+        """[nats] Missing evidence from which a search is worthwhile: what a found pose pays. It doubles with each search in vain."""
+        self.kept, self.has_searched = KeptScans(priors), False
         self.drift, self.velocity = np.zeros(3), np.zeros(3)
         self.error, self.slip = np.zeros(3), np.zeros(3)
         """[m/s, m/s, rad/s] Error of the odometry's speed in the last step, and in both of the last two: slip lasts."""
         self.alone = 0.0
         """[m] Distance driven where the graph does not answer the rays or the scan does not match, less that where it does, at most
         twice the distance after which the believed pose is as probable as ours: after as much where it does, it is not."""
-        self.n_searches = 0
         self._last: Observation | None = None
         self._numbers = count(1)
 
@@ -190,7 +190,7 @@ class PoseTracker:
         if believed is None:
             return
         alike, handicap = math.log(max(self.p_elsewhere, 1e-300)), 0.0
-        if not self.modes and not self.n_searches:
+        if not self.modes and not self.has_searched:
             score, alike = math.log(s.start), math.log(1.0 - s.start)
             self.elsewhere = -math.inf
         elif any(mode.is_at(believed, self.priors.tolerance) for mode in self.modes):
@@ -256,34 +256,35 @@ class PoseTracker:
         n = self.readings.n_independent(now.observation.ranges) * main.answered
         self.missing = max(self.missing + now.weight * n * (FITTING * self.usual - main.evidence), 0.0)
         if self.missing == 0.0:
-            self.limit = 0.5 * self.log_places
+            self.limit = self.log_places
         if math.exp(main.score) > 0.99 and main.answered > 0.5 and main.is_matched:
             share = min(now.weight * s.independent_distance / s.usual_distance, 1.0)
             self.usual += share * (main.evidence - self.usual)
 
     def _search(self) -> None:
-        """Search the surroundings of the most probable mode, or the whole place, for other modes."""
+        """Search the surroundings of the most probable mode, and the whole place, for other modes.
+
+        The tracking failed, or the robot was carried: the missing evidence does not distinguish these, and both have one rate.
+        """
         self.limit = min(2.0 * max(self.limit, 1.0), 64.0 * self.log_places)
-        self.missing, self.n_searches = 0.0, self.n_searches + 1
+        self.missing, self.has_searched, main = 0.0, True, self.main
         if not self.kept:
             return
-        main, window, last = self.main, None, self.kept.last_drift
-        if main is not None and self.n_searches % 2 == 0:
-            pose = compose(main.pose, compose(invert(self.drift), last))
-            spread = 3.0 * np.sqrt(np.diag(main.covariance))
-            window = SearchWindow.around(
-                pose, half_xy=max(0.5, float(spread[:2].max())), half_phi=max(0.2, float(spread[2]))
-            )
+        if main is not None:
+            back = compose(invert(self.drift), self.kept.last_drift)
+            self._search_in(surroundings_of(main, back))
+        self._search_in(None)
+
+    def _search_in(self, window: SearchWindow | None) -> None:
+        """Add the poses at which the kept scans fit in a window as modes; None: in the whole place."""
+        last = self.kept.last_drift
         found = find_places(self.kept.view(), self.place, window=window).poses
         # from the others, the graph has seen nothing: they are none of its places, and a robot there is elsewhere
         found = found[self.readings.sees(found)][: self.priors.n_modes]
+        matched_modes = [mode for mode in self.modes if mode.is_matched]
         poses = [compose(pose, compose(invert(last), self.drift)) for pose in found]
-        new = [
-            self._found(pose)
-            for pose in poses
-            if not any(mode.is_at(pose, self.priors.tolerance) and mode.is_matched for mode in self.modes)
-        ]
-        for mode, odds in new:
+        is_new = [not any(one.is_at(pose, self.priors.tolerance) for one in matched_modes) for pose in poses]
+        for mode, odds in [self._found(pose) for pose, new in zip(poses, is_new, strict=True) if new]:
             self.modes = joined(self.modes, mode, odds)
 
     def _found(self, pose: Floats) -> tuple[Mode, Floats]:
