@@ -19,7 +19,13 @@ from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.watching.readings import ReadingEvidence
 from sensorgraph.watching.resemblance import resemblance_of
-from sensorgraph.watching.scan_input import ScanInput, apart
+from sensorgraph.watching.scan_input import (
+    ScanInput,
+    apart,
+    driven_on,
+    moved_covariance,
+    unknown_deviations,
+)
 from sensorgraph.watching.settings import TRACKING, TrackingPriors
 
 PROBABLE = 0.9
@@ -48,6 +54,8 @@ class Mode:
     """[nats] Mean evidence of the answered readings of the last scan."""
     handicap: float = 0.0
     """[nats] By which its prior was reduced as a belief that contradicts the tracking; 0 once it was the probable pose."""
+    slips: bool = False
+    """Whether its last step is one that the odometry does not show."""
     resembles: Mapping[int, float] = field(default_factory=dict)
     """Number of another mode -> log-odds that what the graph does not know here resembles the surroundings there, against any."""
 
@@ -137,6 +145,39 @@ def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -
     if (is_near or is_allowed) and found.inliers >= MAJORITY and found.agreement >= s.agreement:
         return found
     return None
+
+
+def slipped(
+    mode: Mode,
+    place: KnownMap,
+    now: ScanInput,
+    velocity: Floats,
+    dt: float,
+    least: float,
+    priors: TrackingPriors,
+) -> Mode | None:
+    """Return a mode after a step that the odometry does not show: wheels slip, or an encoder is dead.
+
+    It moves as a robot without odometry and pays for this volume. Slip begins at the rate at which tracking fails, and
+    after a step with slip it is as probable as not. None without a match, or if the mode is improbable.
+
+    Parameters
+    ----------
+    velocity : (3,) [m/s, m/s, rad/s] Velocity of the robot before the step.
+    dt : [s] Time of the step.
+    least : Logarithm of the least probability of a mode that is followed.
+    """
+    p = 0.5 if mode.slips else min(priors.carried * dt, 0.5)
+    if p <= 0.0 or mode.total + math.log(p) < least:
+        return None
+    step, deviations = driven_on(velocity, dt, priors), unknown_deviations(dt, priors)
+    pose = compose(mode.pose, step)
+    covariance = moved_covariance(mode.covariance, mode.pose, step, deviations)
+    found = matched(place, pose, covariance, now)
+    if found is None:
+        return None
+    moved = replace(mode, pose=pose, covariance=covariance, is_matched=False, slips=True)
+    return corrected(moved.plus(math.log(p)), found, priors)
 
 
 def surroundings_of(mode: Mode, back: Floats) -> SearchWindow:

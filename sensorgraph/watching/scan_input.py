@@ -101,13 +101,18 @@ def odometry_step(
     dt = max(now.stamp - last.stamp, 0.0)
     floor = np.asarray(priors.odometry_floor)
     if now.odometry is None or last.odometry is None:
-        return dt, driven_on(velocity, dt, priors), floor + dt * np.asarray(priors.unknown_speed), False
+        return dt, driven_on(velocity, dt, priors), unknown_deviations(dt, priors), False
     step = compose(invert(last.odometry), now.odometry)
     way, turn = float(np.hypot(step[0], step[1])), float(abs(step[2]))
     if not way <= priors.max_speed * max(dt, 0.2):  # also if it is not finite
         return dt, np.zeros(3), floor + 1.0, True
     scale = way * np.asarray(priors.odometry_per_metre) + turn * np.asarray(priors.odometry_per_turn)
     return dt, step, floor + scale, False
+
+
+def unknown_deviations(dt: float, priors: TrackingPriors) -> Floats:
+    """Return the standard deviations (3,) [m, m, rad] of a motion without odometry in a time [s]."""
+    return np.asarray(priors.odometry_floor) + dt * np.asarray(priors.unknown_speed)
 
 
 def driven_on(velocity: Floats, dt: float, priors: TrackingPriors) -> Floats:

@@ -4,9 +4,12 @@ Each possible pose (a mode) is a normal distribution, which the odometry moves a
 the graph corrects. Where the scan matches no surfaces, the evidence of the readings corrects it: the mode is a mixture of
 seven parts, which the readings weigh. Their evidence also weighs the mode against another place that resembles it
 (`resemblance`). An offset of all ranges is estimated with the pose. A robot is carried away, or back, at a known rate. This is a
-hidden Markov model; its probabilities are the result. A search of the whole place finds other modes when the evidence stays below the usual one by as much as another
-place could gain. A new mode has half the prior of one among all places that can be told apart. The other half is that of a
-place outside the graph that resembles it.
+hidden Markov model; its probabilities are the result.
+
+Searches find other modes when the evidence stays below the usual one by as much as another place must gain. They are of the
+surroundings of the most probable mode, and of the whole place. A new mode has half the prior of one among all places that can be
+told apart: those in space that training rays crossed. The other half is that of a place outside the graph that resembles it. A
+step that the odometry does not show, as of wheels that slip, leads to one more mode.
 
 A ray says as much for or against a mode as space that training rays crossed lies on its way (`readings`). A robot that drives
 outside what the graph knows goes on by odometry, with a growing covariance. Since its surroundings may look like those of
@@ -39,6 +42,7 @@ from sensorgraph.watching.modes import (
     joined,
     matched,
     pruned,
+    slipped,
     surroundings_of,
     velocity_of,
     weighed,
@@ -154,7 +158,7 @@ class PoseTracker:
         now = ScanInput(observation=seen, scan=scan, drift=self.drift, weight=weight, changed=changed)
         before = self.main
         expected = np.hypot(deviations, slip)
-        self.modes = [self._moved(mode, step, expected, dt, now) for mode in self.modes]
+        self.modes = [one for mode in self.modes for one in self._moved(mode, step, expected, dt, now)]
         self._add_belief(now)
         self._weigh(now, dt)
         main = self.main
@@ -171,18 +175,22 @@ class PoseTracker:
         self.slip, self.error = np.minimum(error, self.error), error
         return now
 
-    def _moved(self, mode: Mode, step: Floats, deviations: Floats, dt: float, now: ScanInput) -> Mode:
-        """Move a mode by the odometry and match the scan there."""
+    def _moved(self, mode: Mode, step: Floats, deviations: Floats, dt: float, now: ScanInput) -> list[Mode]:
+        """Move a mode by the odometry and match the scan there; without a match, the odometry may have failed as well."""
         pose = compose(mode.pose, step)
         covariance = moved_covariance(mode.covariance, mode.pose, step, deviations)
         found = matched(self.place, pose, covariance, now)
-        if found is None and self.velocity.any() and mode is self.main:
-            # wheels that slip or an encoder that is dead: as before, or standing
-            for other in (mode.pose, compose(mode.pose, self.velocity * min(dt, 0.5))):
-                wide = covariance + np.diag(np.asarray(self.priors.start_deviations) ** 2)
-                found = found or matched(self.place, other, wide, now)
-        moved = replace(mode, pose=pose, covariance=covariance)
-        return corrected(moved, found)
+        moved = corrected(replace(mode, pose=pose, covariance=covariance, slips=False), found)
+        least = max(one.total for one in self.modes) - self.priors.dropped
+        other = None
+        if (
+            found is None and mode.answered > self.priors.answered
+        ):  # where nothing is known, nothing shows slip
+            other = slipped(mode, self.place, now, self.velocity, dt, least, self.priors)
+        if other is None:
+            return [moved]
+        new = next(self._numbers)  # the more probable one keeps the number
+        return [replace(moved, number=new), other] if mode.slips else [moved, replace(other, number=new)]
 
     def _add_belief(self, now: ScanInput) -> None:
         """Add the pose that the robot believes, if no mode is there."""
@@ -305,6 +313,4 @@ class PoseTracker:
     def _normalise(self) -> None:
         total = float(np.logaddexp.reduce([self.elsewhere, *(mode.total for mode in self.modes)]))
         self.elsewhere -= total
-        self.modes = [
-            replace(mode, score=mode.score - total, alike=mode.alike - total) for mode in self.modes
-        ]
+        self.modes = [mode.plus(-total) for mode in self.modes]
