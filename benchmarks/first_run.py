@@ -21,7 +21,7 @@ from benchmarks.arguments import parser_of, timed
 from sensorgraph.show.figures.style import AMBER, INK, TEAL, TEXT, new_figure, save_figure
 
 LISTENER = '''
-import os, sys, time
+import atexit, os, sys, time
 from importlib.abc import MetaPathFinder
 
 class Listening(MetaPathFinder):
@@ -38,6 +38,16 @@ def listen():
     import numba.core.event as event
     log = open(os.path.join(os.environ["FIRST_RUN_LOG"], f"{os.getpid()}.tsv"), "a", buffering=1)
     log.write(f"{time.time()}\\n")
+
+    def end():
+        log.write(f"end\\t{time.time()}\\n")
+
+    def leave(code, exit=os._exit):
+        end()
+        exit(code)
+
+    atexit.register(end)
+    os._exit = leave
 
     class Compiling(event.Listener):
         open_calls = []
@@ -72,8 +82,8 @@ class Timed:
     """[s]"""
     stages: tuple[tuple[str, float], ...]
     """Name of each stage, and when its file could be opened [s]."""
-    processes: tuple[tuple[float, tuple[tuple[float, float], ...]], ...]
-    """When each process began to import [s], and when it compiled [s]."""
+    processes: tuple[tuple[float, float, tuple[tuple[float, float], ...]], ...]
+    """When each process began to import [s], when it ended [s], and when it compiled [s]."""
     kernels: Counter[str]
     """[s] CPU of compiling each kernel."""
 
@@ -105,11 +115,14 @@ def timed_demo(folder: Path, name: str) -> Timed:
     processes = []
     for file in sorted(log.iterdir(), key=lambda file: float(file.read_text().split()[0])):
         first, *rows = file.read_text().splitlines()
-        calls = [row.split("\t") for row in rows]
+        end = max(
+            (float(row.split("\t")[1]) for row in rows if row.startswith("end")), default=began + took.wall
+        )
+        calls = [row.split("\t") for row in rows if not row.startswith("end")]
         for _, _, _, seconds, kernel in calls:
             kernels[kernel] += float(seconds)
         outer = tuple((float(a) - began, float(b) - began) for depth, a, b, *_ in calls if depth == "0")
-        processes.append((float(first) - began, outer))
+        processes.append((float(first) - began, end - began, outer))
     return Timed(
         cpu=took.cpu,
         wall=took.wall,
@@ -126,8 +139,7 @@ def picture(runs: dict[str, Timed], path: Path) -> None:
         len(runs), 1, squeeze=False, height_ratios=[len(run.processes) for run in runs.values()]
     )
     for chart, (label, run) in zip(charts[:, 0], runs.items(), strict=True):
-        for lane, (began, compiling) in enumerate(run.processes):
-            end = run.wall if lane == 0 else max((b for _, b in compiling), default=began)
+        for lane, (began, end, compiling) in enumerate(run.processes):
             chart.barh(-lane, end - began, left=began, height=0.55, color=TEAL, alpha=0.35)
             chart.barh(
                 [-lane] * len(compiling),
@@ -136,9 +148,12 @@ def picture(runs: dict[str, Timed], path: Path) -> None:
                 height=0.55,
                 color=AMBER,
             )
+        together: dict[float, list[str]] = {}
         for stage, at in run.stages:
+            together.setdefault(at, []).append(stage)
+        for at, names in together.items():
             chart.axvline(at, color=INK, lw=0.8)
-            chart.text(at, 0.45, stage, rotation=35, fontsize=TEXT - 1, color=INK)
+            chart.text(at, 0.45, ", ".join(names), rotation=35, fontsize=TEXT - 1, color=INK)
         chart.set(xlim=(0, 1.04 * run.wall), ylim=(0.5 - len(run.processes), 1.3), yticks=[])
         chart.set_title(
             f"{label}: {run.cpu:.0f} s of CPU; compiling in amber", loc="left", fontsize=TEXT, color=INK
