@@ -104,7 +104,7 @@ def test_equation_names_lags_noise_and_says_what_a_pose_alone_gives(graph: Senso
         "95 % interval",
     ):
         assert part in text
-    assert graph.model.summary()["scans"].startswith("1498 of 1500 fitted in 1 stretches; 2 at the start")
+    assert graph.model.summary()["scans"].startswith("1498 of 1500 fitted, stretches: 1; 2 at the start")
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.1, 0.7])

@@ -63,7 +63,7 @@ class AmendedModel:
     def __repr__(self) -> str:
         """Summarise the changes in one line."""
         changed = ", ".join(file.path.name for file in self.files if file.diff)
-        return f"AmendedModel: changes {changed or 'nothing'}, {len(self.left_out)} effects left out"
+        return f"AmendedModel: changes {changed or 'nothing'}, left out: {len(self.left_out)}"
 
     @property
     def diff(self) -> str:

@@ -61,8 +61,8 @@ def amend_urdf(
         model.sensor.finish()
     if document.unknown and lines:
         lines.append(
-            f"{file}: no given file defines the macros {', '.join(f'`{one}`' for one in document.unknown[:8])}; "
-            "give the files that define them, too"
+            f"{file}: no given file defines {', '.join(f'`{one}`' for one in document.unknown[:8])}; "
+            "give the file of each macro, too"
         )
     return lines
 

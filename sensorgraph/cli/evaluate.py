@@ -114,7 +114,7 @@ def evaluate(
     if point is not None and point not in POINTS:
         raise SensorgraphError(f"point is {point!r}, expected one of {', '.join(POINTS)}")
     value = cast("Point | None", point)
-    model = Sensorgraph.load(graph)
+    model, *compared = map(Sensorgraph.load, [graph, *(beside or [])])
     reading = read_options(topic, no_return, robot, heights)
     log = with_poses_of_graph(read_run(run, reading, robot), run, poses, model, str(graph), reading)
     print_ray_order(str(run), log.sensor.bearings, str(graph), model.sensor.bearings)
@@ -122,9 +122,8 @@ def evaluate(
         result = evaluate_graph(model, log, split=split, point=value, cap=cap, force=force, progress=tick)
     simulator = None if effects is None else _simulator(result, log, effects, value)
     others: dict[str, Metrics] = {}
-    for path in beside or []:
+    for path, other in zip(beside or [], compared, strict=True):
         with progress(f"evaluating {path.stem}", "scans") as tick:
-            other = Sensorgraph.load(path)
             others[path.stem] = evaluate_graph(
                 other, log, split=split, point=value, cap=cap, force=force, progress=tick
             ).all

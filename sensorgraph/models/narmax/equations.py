@@ -99,7 +99,7 @@ def summary_of(model: NarmaxParameters) -> Mapping[str, str]:
     return {
         "form": f"degree {form.degree} in {_signals_text(form)}: {form.n_candidates} candidates, {terms.min()} to "
         f"{terms.max()} terms per ray, chosen by EBIC; noise terms on {int(model.noise.any(axis=1).sum())} rays",
-        "scans": f"{used['rows']} of {used['scans']} fitted in {used['stretches']} stretches; {used['dropped']} at the "
+        "scans": f"{used['rows']} of {used['scans']} fitted, stretches: {used['stretches']}; {used['dropped']} at the "
         "start of a stretch serve as lags only",
         "sigma": f"median {medians[0]} m one step ahead, {medians[1]} m in free run, {medians[2]} m for a pose alone",
         "residual": f"correlated in time on {int(alarms)} of {int(tested.sum())} tested rays (5 % false discoveries)",
