@@ -66,6 +66,13 @@ def test_a_field_of_view_other_than_stated_is_told_in_degrees(stretch: float) ->
     assert ("wider" in doubt.statement) is (stretch > 0)
 
 
+@pytest.mark.parametrize("s", [0.015, -0.02])
+def test_a_scale_is_no_error_that_no_scale_explains(s: float) -> None:
+    """Also where the fit knows of no scale, whose evidence the profile would take."""
+    data = data_of(hall_arena(), (EFFECTS["range_scale"](s=s),))
+    assert not any(doubt.family == "bias_by_range" for doubt in sure(find(checked_of(null_of(data)))))
+
+
 @pytest.mark.parametrize(
     "effects",
     [

@@ -49,7 +49,7 @@ UNEVEN = (
 N_KNOTS = 12
 """Number of bearings, or ranges, between which errors are interpolated."""
 MAX_UNEVEN = 0.1
-"""Maximum share of the squared errors that remains after a stretch of the field of view, if the stretch is reported."""
+"""Maximum share of the squared errors that a line may leave if it explains a profile: a stretch of the field of view, or a scale."""
 MOST_RANGES = 0.99
 """Quantile of the ranges at which their profile ends."""
 
@@ -72,20 +72,19 @@ class ProfileColumns(Columns):
         return cls(family=as_name(kind), columns=columns, is_contrast=True, kind=kind, knots=knots)
 
     def words(self, estimate: ColumnEstimate, fitted: Fitted) -> Words | None:
-        """Return the words of a profile; None if walls that are each off by half a pixel of the map explain it."""
-        errors, grain = estimate.values, fitted.solver.data.grain
+        """Return the words of a profile; None for errors by range that walls off by half a pixel, or a scale, explain."""
+        errors, grain, slope = estimate.values, fitted.solver.data.grain, self._slope(estimate.values)
         worst = int(np.abs(errors).argmax())
         most, at = abs(float(errors[worst])), float(self.knots[worst])
         if self.kind == BEARING_ERROR:
-            stretch = self._stretch(errors)
-            statement, causes = self._stretched(stretch) if stretch else _uneven(most, at)
+            statement, causes = self._stretched(slope) if slope else _uneven(most, at)
         elif self.kind == BIAS_BY_BEARING:
             statement = (
                 f"readings are off by up to {length(most)}, most at {np.degrees(at):.0f}°; the error depends on the bearing, "
                 "and no single sector explains it"
             )
             causes = (CAUSES["bearing"]["bias"],)
-        elif most < 2 * grain:
+        elif most < 2 * grain or slope:
             return None
         else:
             statement = (
@@ -102,8 +101,8 @@ class ProfileColumns(Columns):
         )
         return Words(statement=statement, causes=causes, profile=profile)
 
-    def _stretch(self, errors: Floats) -> float:
-        """Return the relative widening of the field of view; 0 unless it accounts for nearly all errors (k,)."""
+    def _slope(self, errors: Floats) -> float:
+        """Return the slope of a line through errors (k,), as of a wider field of view; 0 unless it accounts for nearly all."""
         line = np.polyfit(self.knots, errors, 1)
         left = errors - np.polyval(line, self.knots)
         is_even = float((left**2).sum()) < MAX_UNEVEN * float((errors**2).sum())
