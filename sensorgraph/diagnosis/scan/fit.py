@@ -203,12 +203,13 @@ def fit(
     if data.posed is not None:  # the laser keeps its place: the poses absorb the errors of mount and delay
         state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[list(POSE_LIKE)])
     state.g[held_at_0] = 0.0
-    is_laid = data.grain > 0
+    is_laid, is_cast = data.grain > 0, False
     for _ in range(max(outer, SCAN.fit.casts) if is_laid and not model else outer):
-        laid = as_cast(data, state)  # so that the fit of another effect starts at the same cast
-        solver, at = solver_for(laid, model)
-        zero = np.zeros(solver.n_effects)
-        solution = iterate(solver, state, zero, noise_bounds, rounds=inner)
+        if not is_cast:
+            laid = as_cast(data, state)  # so that the fit of another effect starts at the same cast
+            solver, at = solver_for(laid, model)
+            p = np.zeros(solver.n_effects)
+        solution = iterate(solver, state, p, noise_bounds, rounds=inner)
         solution.state.laid, solution.state.posed = laid.laid, laid.posed
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + SCAN.fit.min_gain
@@ -216,9 +217,14 @@ def fit(
             best = got
         if (solver.n_effects == 0 and not is_laid and laid.posed is None) or not better:
             break
-        model, state = with_increments(model, solution.p), replace(solution.state, laid=None, posed=None)
-        if _settled(solution) and is_cast_at(laid, state):
+        state = replace(solution.state, laid=None, posed=None)
+        is_cast = _settled(solution) and is_cast_at(laid, state)
+        if is_cast and solution.has_converged:
             break
+        if is_cast:  # the noise converges more slowly than the effects
+            p = solution.p
+        else:
+            model = with_increments(model, solution.p)
     assert best is not None
     final = with_increments(best.model, best.solution.p)
     state = best.solution.state

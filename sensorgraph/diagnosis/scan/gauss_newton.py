@@ -237,6 +237,8 @@ class Solution:
     system: System
     covariance: Floats
     """(k, k) covariance of p, with the nuisances integrated out."""
+    has_converged: bool
+    """Whether J no longer rose; if not, the rounds were used up."""
 
 
 def iterate(
@@ -251,7 +253,7 @@ def iterate(
     state, p = state.copy(), p.copy()
     best: Solution | None = None
     optimum: BoundedOptimum | None = None
-    n = solver.n_g
+    n, has_converged = solver.n_g, True
     for turn in range(rounds + 1):
         responsibilities = e_step(solver.data, solver.expected, solver.shift(state, p), state.noise)
         system = solver.assemble(responsibilities.weight, state.pose_scale)
@@ -268,12 +270,14 @@ def iterate(
                 responsibilities=responsibilities,
                 system=system,
                 covariance=np.zeros((0, 0)),  # that of the best round alone follows at the end
+                has_converged=False,
             )
             if gained < SCAN.fit.min_gain and turn > 1:
                 break
         elif turn > 2:
             break
         if turn == rounds:
+            has_converged = False
             break
         optimum = solver.maximise(system, state, optimum)
         state.g, p = optimum.x[:n], optimum.x[n:]
@@ -285,7 +289,8 @@ def iterate(
         box = solver.box(state)  # the bounds may have shrunk since g was solved for
         state.g = np.clip(state.g, -box, box)
     assert best is not None
-    return replace(best, covariance=_covariance(best.system, solver, best.state))
+    covariance = _covariance(best.system, solver, best.state)
+    return replace(best, covariance=covariance, has_converged=has_converged)
 
 
 def _scales(
