@@ -143,7 +143,8 @@ def test_what_moves_the_laser_is_told_from_the_poses_at_the_cast_that_both_share
     )  # a delay moves by more than its slope says
     anew = fit(data, one.model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
     assert anew.j > null.j
-    without = fit(data, (), one.state, SCAN.noise, outer=2, inner=4)  # as the evidence of an effect is asked
+    # as the evidence of an effect is asked
+    without = fit(data, (), one.state, SCAN.noise, outer=SCAN.fit.casts, inner=4)
     assert without.j > null.j - 0.5 * (one.j - null.j)
 
 

@@ -173,7 +173,8 @@ class EffectSearch:
     def rest(self, index: int) -> Fitted:
         """Return the fit of the present model without one of its effects."""
         if index not in self._rests:
-            self._rests[index] = self._fit(without(self.current.model, index), self.current.state, 2, 4)
+            casts = max(2, self.casts)  # where poses move the laser, as many as the null has
+            self._rests[index] = self._fit(without(self.current.model, index), self.current.state, casts, 4)
         return self._rests[index]
 
     def evidence(self, model: Sequence[Amendment], hypothesis: Amendment) -> float:
