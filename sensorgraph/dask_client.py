@@ -29,10 +29,7 @@ def connected(address: str) -> Any:
         with ThreadPoolExecutor(1) as pool:  # a notebook has an event loop in its own thread
             pool.submit(asyncio.run, _greet(address)).result()
         client: Any = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (
-        TimeoutError,
-        MemoryError,
-    ) as exc:  # Dask reads the text of an HTTP server as the length of a message
+    except (TimeoutError, MemoryError) as exc:  # Dask takes text for the length of a message
         raise SensorgraphError(
             f"Dask at {address}: what answers is no scheduler; give the address that `dask scheduler` prints, not that of "
             "its dashboard"

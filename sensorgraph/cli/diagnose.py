@@ -263,15 +263,20 @@ def _check_runs(runs: Sequence[Path], commissioning: Sequence[Path]) -> None:
         raise SensorgraphError(
             f"{len(runs)} runs given, expected one, or two of which the second only verifies the result"
         )
-    if len(runs) == 2 and all(p.exists() for p in runs) and runs[0].samefile(runs[1]):
+    if len(runs) == 2 and _is_among(runs[:1], runs[1]):
         raise SensorgraphError(
             f"{runs[1]} is given twice; the second run verifies the result and must be a different run"
         )
     for good in commissioning:
-        if good.exists() and any(p.exists() and p.samefile(good) for p in runs):
+        if _is_among(runs, good):
             raise SensorgraphError(
                 f"{good} is given as its own commissioning run, in which nothing has changed; give another run"
             )
+
+
+def _is_among(runs: Sequence[Path], path: Path) -> bool:
+    """Return whether a file is one of the runs, by whatever name."""
+    return path.exists() and any(run.exists() and run.samefile(path) for run in runs)
 
 
 def _check_simulation(
@@ -286,7 +291,7 @@ def _check_simulation(
         raise SensorgraphError(
             "--simulation and --commissioning are both given; a run can be compared with only one of them"
         )
-    if simulation.exists() and any(p.exists() and p.samefile(simulation) for p in runs):
+    if _is_among(runs, simulation):
         raise SensorgraphError(f"{simulation} is given as its own simulation; give a log of your simulator")
 
 

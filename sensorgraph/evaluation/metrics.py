@@ -191,7 +191,9 @@ def _compare_end_points(
                 square = (told_x[j] - x[i]) ** 2 + (told_y[j] - y[i]) ** 2
                 least, back[j] = min(least, square), min(back[j], square)
             there[i] = least
-        for column in range(2 if n else 0):
+        if n == 0:
+            continue
+        for column in range(2):
             total, within = 0.0, 0
             for i in range(n):
                 square = work[4 + column, i]

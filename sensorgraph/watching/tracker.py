@@ -181,12 +181,11 @@ class PoseTracker:
         covariance = moved_covariance(mode.covariance, mode.pose, step, deviations)
         found = matched(self.place, pose, covariance, now)
         moved = corrected(replace(mode, pose=pose, covariance=covariance, slips=False), found)
+        # where nothing is known, nothing shows slip
+        if found is not None or mode.answered <= self.priors.answered:
+            return [moved]
         least = max(one.total for one in self.modes) - self.priors.dropped
-        other = None
-        if (
-            found is None and mode.answered > self.priors.answered
-        ):  # where nothing is known, nothing shows slip
-            other = slipped(mode, self.place, now, self.velocity, dt, least, self.priors)
+        other = slipped(mode, self.place, now, self.velocity, dt, least, self.priors)
         if other is None:
             return [moved]
         new = next(self._numbers)  # the more probable one keeps the number

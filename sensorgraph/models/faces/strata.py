@@ -30,9 +30,8 @@ def spread_evenly(places: Floats, turn: Floats, most: int) -> tuple[Ints, Floats
         tuple((column - column.min()).astype(np.intp) for column in (*cell.T, sector)),
         tuple(int(np.ptp(column)) + 1 for column in (*cell.T, sector)),
     )
-    order = np.argsort(
-        key.astype(np.min_scalar_type(key.max(initial=0))), kind="stable"
-    )  # radix sort up to 16 bits
+    short = key.astype(np.min_scalar_type(key.max(initial=0)))  # up to 16 bits are sorted by radix
+    order = np.argsort(short, kind="stable")
     start = np.flatnonzero(np.diff(key[order], prepend=-1))
     count = np.diff(start, append=len(key))
     kept = np.repeat(np.minimum(count, _even_share(count, most)), count)
