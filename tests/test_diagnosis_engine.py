@@ -9,6 +9,7 @@ import pytest
 
 from planners.types import Floats
 from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger, Verdict
+from sensorgraph.diagnosis.engine.price import occam_factor
 from sensorgraph.diagnosis.engine.selection import remove_superfluous, select
 from sensorgraph.diagnosis.engine.why import why
 
@@ -105,3 +106,19 @@ def test_the_ledger_of_a_channel_without_a_robot_explains_itself(two: dict[str, 
     assert {one.name: one.verdict for one in ledger} == {"offset": Verdict.NAMED, "slope": Verdict.SILENT}
     assert "was named" in why(ledger, "offset") and "it needs 6 nats" in why(ledger, "slope")
     assert Ledger.from_list(ledger.to_list()).to_list() == ledger.to_list()
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_the_price_of_parameters_is_the_occam_factor_of_a_prior_worth_one_measurement(
+    k: int,
+) -> None:
+    rng, n = np.random.default_rng(5), 3000
+    A, y = rng.normal(size=(n, k)), rng.normal(size=n)
+    y += A @ np.full(k, 0.1)
+    H, b = A.T @ A, A.T @ y
+    gain = 0.5 * float(b @ np.linalg.solve(H, b))  # maximised log-likelihood ratio
+    prior = H / n  # precision
+    marginal = 0.5 * float(b @ np.linalg.solve(H + prior, b)) - 0.5 * float(
+        np.linalg.slogdet(H + prior)[1] - np.linalg.slogdet(prior)[1]
+    )
+    assert gain - occam_factor(k, n) == pytest.approx(marginal, abs=0.05)

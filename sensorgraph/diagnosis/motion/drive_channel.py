@@ -98,7 +98,7 @@ def fit_noise_with_all_effects(model: DriveModel) -> None:
             model.fit_noise(full.residual)
             full = model.fit(effects, full)
         is_ramped = limit is AccelerationLimit.SET_POINT
-        price = SCAN.selection.threshold + SCAN.selection.price if is_ramped else 0.0
+        price = SCAN.selection.threshold + model.rows.price(1) if is_ramped else 0.0
         found.append((full.log_posterior + model.whitener.log_likelihood - price, limit, model.whitener))
     _, model.simulation.limit, model.whitener = max(found, key=lambda one: one[0])
 

@@ -23,7 +23,7 @@ from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.report import TriedEffect, channel_result
 from sensorgraph.diagnosis.motion.selection import MotionChannel, admitted_structure
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.slip_patches import PATCH_PRICE, best_patch, gains_of_discs, refine_patch
+from sensorgraph.diagnosis.motion.slip_patches import best_patch, gains_of_discs, patch_price, refine_patch
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
 from sensorgraph.diagnosis.motion.wheel_rows import (
@@ -257,7 +257,7 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
     replaces = False
     if model.patches:
         other, total = test.best(plain, families)
-        replaces = test.lead(plain, other, own) + PATCH_PRICE * len(model.patches) > gain
+        replaces = test.lead(plain, other, own) + patch_price(model) * len(model.patches) > gain
         if replaces:
             own, family, gain = plain, other, total
     dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
@@ -314,7 +314,7 @@ def tried_patch(model: WheelModel, terms: Sequence[Term]) -> list[TriedEffect]:
     patch, evidence = model.last_patch
     _, lost = gains_of_discs(model, patch.disc[None], patch.track, terms)
     slip = WHEEL_SLIP(s=float(lost[0]), x=patch.x, y=patch.y, r=patch.r).at(xy=(patch.x, patch.y))
-    return [TriedEffect(amendment=slip, evidence=evidence, price=PATCH_PRICE)]
+    return [TriedEffect(amendment=slip, evidence=evidence, price=patch_price(model))]
 
 
 def motion_difference(model: WheelModel, terms: Sequence[Term]) -> MotionDifference | None:

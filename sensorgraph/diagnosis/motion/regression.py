@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.price import occam_factor
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.scan.normal_equations import solve_bounded
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Effect
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -40,9 +40,9 @@ class Term:
         return self.effect
 
     @property
-    def price(self) -> float:
-        """[nats] complexity penalty."""
-        return SCAN.selection.price * (1 if self.effect is None else len(self.effect.parameters))
+    def n_parameters(self) -> int:
+        """Number of parameters that count for the complexity penalty."""
+        return 1 if self.effect is None else len(self.effect.parameters)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +61,10 @@ class Rows:
     def n_valid(self) -> int:
         """Number of valid rows of one kind."""
         return int(self.valid.sum())
+
+    def price(self, n_parameters: int) -> float:
+        """Return the complexity penalty [nats] of free parameters, for rows of two kinds."""
+        return occam_factor(n_parameters, 2 * self.n_valid)
 
     def masked(self, rows: Floats) -> Floats:
         """Return rows of one kind or several (n_kinds n, ...), 0 where not valid."""

@@ -98,9 +98,11 @@ def _accepted(
     """
     rest_terms = [other for other in terms if other != term]
     rest = model.fit(rest_terms, fit)
-    evidence = fit.log_posterior - rest.log_posterior - term.price
+    evidence = fit.log_posterior - rest.log_posterior - model.rows.price(term.n_parameters)
     alternatives = {
-        other.effect: model.fit([*rest_terms, other], fit).log_posterior - rest.log_posterior - other.price
+        other.effect: model.fit([*rest_terms, other], fit).log_posterior
+        - rest.log_posterior
+        - model.rows.price(other.n_parameters)
         for other in model.terms
         if other not in terms and other.effect is not None
     } | dict(instead(rest_terms, term))
@@ -111,7 +113,9 @@ def _accepted(
     missing = fit.simulated - rest.simulated + fit.explained([term.column])
     return AcceptedEffect(
         amendment=a,
-        entry=_judged_entry(a, term.price, model.error_without(fit, missing), loop(a), error),
+        entry=_judged_entry(
+            a, model.rows.price(term.n_parameters), model.error_without(fit, missing), loop(a), error
+        ),
         rival=_rival(a, alternatives) or usual_rival(a),
         is_absorbed=a.location is None and _takes(model, fit, missing),
     )
@@ -216,10 +220,11 @@ def _tried(model: MotionModel, terms: Sequence[Term], fit: Fit, term: Term) -> T
     more = [*terms, term]
     with_it = model.fit(more, fit)
     error = float(np.sqrt(max(float(with_it.solution.covariance[term.column, term.column]), 0.0)))
+    price = model.rows.price(term.n_parameters)
     return TriedEffect(
         amendment=model.sized(term, with_it, error),
-        evidence=with_it.log_posterior - fit.log_posterior - term.price,
-        price=term.price,
+        evidence=with_it.log_posterior - fit.log_posterior - price,
+        price=price,
         variance=float(fit.regression.solve(model.prior(more, fit)).covariance[term.column, term.column]),
     )
 
@@ -247,7 +252,7 @@ def _unseen_effects(tried: Iterable[TriedEffect]) -> dict[str, str]:
             continue
         size = OBSERVABLE_SIZE * next(iter(effect.sizes.values()))
         expected = 0.5 * size**2 / one.variance
-        if expected - SCAN.selection.price < SCAN.selection.threshold:
+        if expected - one.price < SCAN.selection.threshold:
             out[effect.name] = (
                 f"{effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is "
                 f"{expected:.0f}"
@@ -292,7 +297,10 @@ def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[TestedFa
     for some in [freed] if freed else tried:
         with_it = fit if freed else model.fit([*rest_terms, *some], fit)
         rest = model.fit(rest_terms, fit) if freed else fit
-        columns, price = [term.column for term in some], sum(term.price for term in some)
+        columns, price = (
+            [term.column for term in some],
+            model.rows.price(sum(term.n_parameters for term in some)),
+        )
         family = StructureFamily(
             kind=some[0].family,
             columns=with_it.columns[:, columns],

@@ -40,7 +40,7 @@ class MotionChannel:
         """Return the best further hypothesis and its evidence [nats]."""
         here = self.fit.log_posterior
         gains = {
-            term: self._fit([*model, term]).log_posterior - here - term.price
+            term: self._fit([*model, term]).log_posterior - here - self.model.rows.price(term.n_parameters)
             for term in self.model.terms
             if term not in model
         }
@@ -62,7 +62,11 @@ class MotionChannel:
     def evidence(self, model: Sequence[Term], hypothesis: Term) -> float:
         """Return the evidence [nats] for a hypothesis in addition to the others."""
         rest = [term for term in model if term != hypothesis]
-        return self.fit.log_posterior - self._fit(rest).log_posterior - hypothesis.price
+        return (
+            self.fit.log_posterior
+            - self._fit(rest).log_posterior
+            - self.model.rows.price(hypothesis.n_parameters)
+        )
 
 
 def admitted_structure(

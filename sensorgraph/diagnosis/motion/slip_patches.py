@@ -19,12 +19,9 @@ from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.regression import Term
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.wheel_model import SlipPatch, WheelModel
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
 
-PATCH_PRICE = SCAN.selection.price * len(WHEEL_SLIP.parameters)
-"""[nats] complexity penalty of a patch."""
 MAX_VALUES = 1_000_000
 """Maximum number of rows times discs in memory: 8 MB per array."""
 RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
@@ -40,6 +37,11 @@ LATTICE = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3), axis=-1).reshape(-1
 """(125, 3) nodes in standard deviations."""
 N_LATTICES = 4
 """Number of lattices, each up to 3.5 times as fine as the previous one."""
+
+
+def patch_price(model: WheelModel) -> float:
+    """Return the complexity penalty [nats] of a patch."""
+    return model.rows.price(len(WHEEL_SLIP.parameters))
 
 
 def best_patch(model: WheelModel, terms: Sequence[Term]) -> tuple[SlipPatch, float] | None:
@@ -69,7 +71,7 @@ def _best_disc(
     near, more_gains, _, _ = _posterior(model, discs[int(np.argmax(gains))], track, terms)
     x, y, r = (float(value) for value in near[int(np.argmax(more_gains))])
     patch = SlipPatch(x=x, y=y, r=r, track=track, covariance=np.zeros((4, 4)))
-    return patch, float(more_gains.max()) - PATCH_PRICE
+    return patch, float(more_gains.max()) - patch_price(model)
 
 
 def gains_of_discs(

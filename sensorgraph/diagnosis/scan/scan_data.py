@@ -15,6 +15,7 @@ from logs.motion import Motion, motion_of
 from logs.run import Pairing, RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
+from sensorgraph.diagnosis.engine.price import occam_factor
 from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.intake import described_sensor, positive_tolerances, thinned_out, velocities
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -102,6 +103,10 @@ class ScanData:
     def returned(self) -> Bools:
         """(n_scans, n_rays) Whether the ray returned."""
         return np.isfinite(self.ranges)
+
+    def price(self, n_parameters: int) -> float:
+        """Return the complexity penalty [nats] of free parameters."""
+        return occam_factor(n_parameters, int(self.returned.sum()))
 
     @property
     def max_scatter(self) -> float:

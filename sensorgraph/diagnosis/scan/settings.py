@@ -184,8 +184,6 @@ class SelectionSettings:
 
     threshold: float = 12.0
     """[nats] Evidence that a name requires, after the complexity penalty."""
-    price: float = 4.0
-    """[nats] Complexity penalty per parameter."""
     max_effects: int = 5
     """Maximum number of effects in a model."""
     max_candidates: int = 10

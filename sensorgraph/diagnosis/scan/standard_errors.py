@@ -211,7 +211,7 @@ def hidden_widths(fitted: Fitted, amendment: Amendment) -> dict[str, float]:
 def evidence_beside_wander(fitted: Fitted, amendment: Amendment) -> float:
     """Return the evidence [nats] of a size, with the errors of the fit and of the mean of a slow reference error.
 
-        evidence = Σ_p p² / (2 (stderr_p² - setup_p²)) - price k
+        evidence = Σ_p p² / (2 (stderr_p² - setup_p²)) - ½ k log n
 
     Here p are the k parameters that a pose error can imitate; the result is inf without any. The gains of a search
     are larger, because they treat the pose errors of different scans as independent.
@@ -225,7 +225,7 @@ def evidence_beside_wander(fitted: Fitted, amendment: Amendment) -> float:
         variance = amendment.stderr.get(p.name, np.inf) ** 2 - set_up**2
         total += amendment[p.name] ** 2 / max(variance, 1e-18)
         imitated += 1
-    return total / 2 - SCAN.selection.price * imitated if imitated else np.inf
+    return total / 2 - fitted.solver.data.price(imitated) if imitated else np.inf
 
 
 def set_up_of(data: ScanData) -> SetUp:

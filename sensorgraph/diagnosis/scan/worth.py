@@ -1,8 +1,8 @@
 """Evidence of an effect after the penalties for its parameters, its place and site clutter, and apparent effects at a site.
 
-    worth = J(with) - J(without) - price k - log n - clutter
+    worth = J(with) - J(without) - ½ k log n - log m - clutter
 
-Here k is the number of parameters, and n the number of places.
+Here k is the number of parameters, n that of readings, and m that of places.
 
 At a site with known-good runs, the parts of the path must agree on an effect of the sensor:
 
@@ -53,7 +53,7 @@ def price(amendment: Amendment, data: ScanData) -> float:
     places = walls.get(amendment.effect.place or "", 1)
     if amendment.place and amendment.effect.place is None:
         places = len(np.unique(sensor_of_rays(data.sensor)))
-    paid = SCAN.selection.price * n_parameters(amendment) + float(np.log(max(places, 1)))
+    paid = data.price(n_parameters(amendment)) + float(np.log(max(places, 1)))
     return paid + clutter_floor(amendment, data)
 
 

@@ -22,7 +22,6 @@ from sensorgraph.diagnosis.scan.consequence import CAUSES
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.normal_equations import ROUND_OFF, System
 from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances
-from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.columns import (
     CONFIDENCE,
     N_PARTS,
@@ -76,9 +75,9 @@ class JumpColumns(Columns):
     """Number of parameters that were tested."""
 
     @property
-    def price(self) -> float:
-        """[nats] Complexity penalty of the jump and of its time."""
-        return float(SCAN.selection.price * (self.columns.shape[1] + 1))
+    def n_values(self) -> int:
+        """Number of values: the jump and its time."""
+        return int(self.columns.shape[1]) + 1
 
     @property
     def least_z(self) -> float:

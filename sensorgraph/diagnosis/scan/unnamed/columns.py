@@ -62,9 +62,9 @@ class Columns(ABC):
     """Whether only differences between the values count, so that their mean over all readings is 0."""
 
     @property
-    def price(self) -> float:
-        """[nats] Complexity penalty."""
-        return float(SCAN.selection.price * self.columns.shape[1])
+    def n_values(self) -> int:
+        """Number of values that count for the complexity penalty."""
+        return int(self.columns.shape[1])
 
     @property
     def least_z(self) -> float:
@@ -90,6 +90,8 @@ class ColumnEstimate:
     """(k, k) Information on the values if rays are independent: the inverse of their covariance."""
     gain: float
     """[nats] increase of the penalised log-likelihood."""
+    price: float
+    """[nats] Complexity penalty of the values."""
     amplitude_z: float
     """Amplitude of the whole over its standard error, from the scatter between parts of the run."""
     offset: float
@@ -113,12 +115,12 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     found = _sure(fitted, estimates)
     if fitted.model and null is not None:
         alone = _sure(null, _estimates(null, _screened(null, columns_of(null))))
-        beside = 0.0 if found is None else found[0].gain - found[0].of.price
-        if alone is not None and is_better_alone(alone[0].gain - alone[0].of.price, null, beside, fitted):
+        beside = 0.0 if found is None else found[0].gain - found[0].price
+        if alone is not None and is_better_alone(alone[0].gain - alone[0].price, null, beside, fitted):
             found, failed = alone, frozenset(range(len(fitted.model)))
     fits = {id(fit.of): fit for fit in estimates}
     unsure = [
-        _unsure(one, gain, fits.get(id(one)))
+        _unsure(fitted, one, gain, fits.get(id(one)))
         for one, gain in screened
         if found is None or one.family != found[0].of.family
     ]
@@ -127,7 +129,7 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     best, words = found
     sure = Doubt(
         family=best.of.family,
-        price=best.of.price,
+        price=best.price,
         statement=words.statement,
         misfit=best.gain,
         statistic=best.amplitude_z,
@@ -140,11 +142,12 @@ def find_columns(checked: Checked, columns_of: Callable[[Fitted], Sequence[Colum
     return [sure, *unsure]
 
 
-def _unsure(one: Columns, gain: float, fit: ColumnEstimate | None) -> Doubt:
+def _unsure(fitted: Fitted, one: Columns, gain: float, fit: ColumnEstimate | None) -> Doubt:
     """Return a difference that is not sure, with the gain and the amplitude of its fit, or else its gain [nats] to first order."""
+    price = fitted.solver.data.price(one.n_values)
     if fit is None:
-        return Doubt.unsure(one.family, gain, one.price)
-    doubt = Doubt.unsure(one.family, fit.gain, one.price)
+        return Doubt.unsure(one.family, gain, price)
+    doubt = Doubt.unsure(one.family, fit.gain, price)
     return replace(doubt, statistic=fit.amplitude_z, threshold=one.least_z)
 
 
@@ -163,7 +166,8 @@ def is_better_alone(alone: float, null: Fitted, beside: float, fitted: Fitted) -
 
 def _estimates(fitted: Fitted, screened: Sequence[tuple[Columns, float]]) -> list[ColumnEstimate]:
     """Fit the differences with a gain [nats] to first order above their complexity penalty."""
-    return [estimated(fitted, one) for one, gain in screened if gain > one.price]
+    data = fitted.solver.data
+    return [estimated(fitted, one) for one, gain in screened if gain > data.price(one.n_values)]
 
 
 def _sure(fitted: Fitted, estimates: Sequence[ColumnEstimate]) -> tuple[ColumnEstimate, Words] | None:
@@ -172,7 +176,7 @@ def _sure(fitted: Fitted, estimates: Sequence[ColumnEstimate]) -> tuple[ColumnEs
         words = one.of.words(one, fitted)
         if words is None:
             continue
-        is_sure = one.gain - one.of.price >= SCAN.selection.threshold and one.amplitude_z > one.of.least_z
+        is_sure = one.gain - one.price >= SCAN.selection.threshold and one.amplitude_z > one.of.least_z
         return (one, words) if is_sure else None
     return None
 
@@ -228,6 +232,7 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
         stderr=np.sqrt(np.square(each).sum(axis=0)),
         information=information,
         gain=solution.j - fitted.j,
+        price=solver.data.price(one.n_values),
         amplitude_z=1 / max(scatter, 1e-9),
         offset=rms(np.matmul(values, columns)[used]),
         affected=float(used.mean()),

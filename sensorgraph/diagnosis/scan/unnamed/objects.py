@@ -76,9 +76,7 @@ def find_temporary(checked: Checked) -> list[Doubt]:
     """Return a fixed object that is absent for one part of the run: a door, for example, instead of a pane."""
     view, settings = checked.view, SCAN.goodness_of_fit
     data, fitted = view.data, view.fitted
-    least = (
-        SCAN.selection.threshold + 2 * SCAN.selection.price
-    )  # for the time at which it leaves, and at which it returns
+    least = SCAN.selection.threshold + data.price(2)  # for the times at which it leaves and returns
     out = []
     for index, a in enumerate(fitted.model):
         if a.effect.place not in ("wall", "obstacle", "spot"):

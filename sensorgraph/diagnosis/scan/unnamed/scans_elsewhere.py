@@ -63,6 +63,8 @@ class Elsewhere:
 
     gain: float
     """[nats] Log-likelihood ratio of two kinds of scan to one."""
+    price: float
+    """[nats] Complexity penalty of the width and the share of the second kind."""
     is_odd: Bools
     """(n_scans,) Whether the scan is of the second kind."""
     delta: Floats
@@ -72,7 +74,7 @@ class Elsewhere:
     def is_likely(self) -> bool:
         """Whether the likelihood supports it, after the complexity penalty, in more than single scans."""
         is_enough = self.is_odd.sum() >= SCAN.goodness_of_fit.min_blocks
-        return bool(self.gain > SCAN.selection.threshold + _price() and is_enough)
+        return bool(self.gain > SCAN.selection.threshold + self.price and is_enough)
 
 
 def find(checked: Checked) -> list[Doubt]:
@@ -89,7 +91,7 @@ def find(checked: Checked) -> list[Doubt]:
         if is_better_alone(alone.gain, null, beside, fitted) and _is_sure(alone, null, rng):
             found, failed, view, is_sure = alone, frozenset(range(len(fitted.model))), null, True
     if not is_sure:
-        return [Doubt.unsure(NAME, gain, _price())]
+        return [Doubt.unsure(NAME, gain, found.price)]
     share, solver = float(found.is_odd.mean()), view.solver
     used = solver.jacobian.valid & solver.data.returned
     x, y, phi = found.delta[found.is_odd].T
@@ -97,7 +99,7 @@ def find(checked: Checked) -> list[Doubt]:
     return [
         Doubt(
             family=NAME,
-            price=_price(),
+            price=found.price,
             statement=f"{100 * share:.0f} % of the scans were taken away from their reference pose, by "
             f"{length(rms(np.hypot(x, y)))} and {np.degrees(rms(phi)):.2g}° (rms)",
             misfit=found.gain,
@@ -116,6 +118,7 @@ def elsewhere(fitted: Fitted) -> Elsewhere:
     """Fit a second, wider prior of the pose error, given the effects and nuisances of a fit."""
     each = each_scan(fitted)
     plain, n = each.log_p_of_prior(each.prior), len(each.prior)
+    price = fitted.solver.data.price(2)
     out = []
     for wider in WIDER:
         wide, share = each.log_p_of_prior(wider**2 * each.prior), 0.5
@@ -125,13 +128,10 @@ def elsewhere(fitted: Fitted) -> Elsewhere:
             chance = np.exp(second - both)
             share = float(np.clip(chance.mean(), 0.5 / n, 1 - 0.5 / n))
         gain = float((both - plain).sum())
-        out.append(Elsewhere(gain=gain, is_odd=chance > 0.5, delta=each.poses(wider**2 * each.prior)))
+        out.append(
+            Elsewhere(gain=gain, price=price, is_odd=chance > 0.5, delta=each.poses(wider**2 * each.prior))
+        )
     return max(out, key=lambda one: one.gain)
-
-
-def _price() -> float:
-    """Return the complexity penalty [nats] of the width and the share of the second kind."""
-    return 2 * SCAN.selection.price
 
 
 def _is_sure(found: Elsewhere, fitted: Fitted, rng: np.random.Generator) -> bool:
@@ -213,5 +213,5 @@ def tolerance_scale(fitted: Fitted, name: Literal["stamp", "pose_yaw"]) -> float
     gains = np.array([[gain(a, b) for b in PART_SCALES] for a in REST_SCALES])
     found = float(PART_SCALES[gains.max(axis=0).argmax()])
     held = max(gain(a, min(common, found)) for a in REST_SCALES)
-    is_sure = gains.max() - max(held, 0.0) > SCAN.selection.threshold + SCAN.selection.price
+    is_sure = gains.max() - max(held, 0.0) > SCAN.selection.threshold + data.price(1)
     return max(found, 1.0) if is_sure else 1.0
