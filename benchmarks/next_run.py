@@ -83,13 +83,13 @@ def nats(data: ScanData, a: Amendment, b: Amendment) -> tuple[float, Amendment]:
 def fitted(data: ScanData, effect: Amendment) -> Fitted:
     """Fit an effect with all nuisances: its smooth parameters, and its rough ones by trying both sides."""
     noise_bounds = NoiseBounds()
-    best = fit(data, (effect,), start_state(data, noise_bounds), noise_bounds, outer=4, inner=4)
+    best = fit(data, (effect,), start_state(data, noise_bounds), noise_bounds)
     for scale in (4.0, 1.0):
         for name, step in effect.search_steps.items():
             for sign in (1.0, -1.0):
                 value = best.model[0][name] + sign * scale * step
                 moved = best.model[0].moved_to({name: value})
-                got = fit(data, (moved,), best.state, noise_bounds, outer=1, inner=2)
+                got = fit(data, (moved,), best.state, noise_bounds)
                 best = got if got.j > best.j else best
     return best
 

@@ -54,7 +54,7 @@ def wide(legs: Arena) -> tuple[ScanData, Floats]:
 
 
 def fitted(data: ScanData) -> Fitted:
-    return fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=3, inner=7)
+    return fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
 
 
 def test_poses_are_found_again_and_count_from_the_reference(wide: tuple[ScanData, Floats]) -> None:
@@ -134,17 +134,17 @@ def test_what_moves_the_laser_is_told_from_the_poses_at_the_cast_that_both_share
     data = at_likely_poses(prepare_scans(run, legs, parse_robot(TEXT))[0], SCAN.noise)
     null = fitted(data)
     for begun in (0.0, 0.9 * effect[key]):
-        one = fit(data, (effect.moved_to({key: begun}),), null.state, SCAN.noise, outer=1, inner=2)
+        one = fit(data, (effect.moved_to({key: begun}),), null.state, SCAN.noise)
         assert one.j > null.j + 15 and one.model[0][key] == pytest.approx(effect[key], rel=0.35)
-    again = fit(data, one.model, one.state, SCAN.noise, outer=1, inner=2)
+    again = fit(data, one.model, one.state, SCAN.noise)
     moved = np.abs(again.cast.beams.ranges - one.cast.beams.ranges)
     assert (
         np.median(moved) < 0.005 and (moved > 0.03).mean() < 0.06
     )  # a delay moves by more than its slope says
-    anew = fit(data, one.model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    anew = fit(data, one.model, start_state(data, SCAN.noise), SCAN.noise)
     assert anew.j > null.j
     # as the evidence of an effect is asked
-    without = fit(data, (), one.state, SCAN.noise, outer=SCAN.fit.casts, inner=4)
+    without = fit(data, (), one.state, SCAN.noise)
     assert without.j > null.j - 0.5 * (one.j - null.j)
 
 

@@ -19,7 +19,7 @@ def test_what_one_effect_costs_is_told_without_what_others_have_moved_since_the_
     hidden = EFFECTS["self_occlusion"](theta1=-1.2, theta2=-0.8, r0=0.23)
     disc = EFFECTS["unmapped_obstacle"](x=2.4, y=-0.03, r=0.1)
     data = data_of(hall_arena(), (hidden, disc))
-    fitted = fit(data, (hidden, disc), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=1)
+    fitted = fit(data, (hidden, disc), start_state(data, SCAN.noise), SCAN.noise)
     moved = replace(fitted, model=(hidden.moved_to({"r0": 0.229}), fitted.model[1]))
     shares = []
     for model in (fitted, moved):

@@ -25,7 +25,7 @@ from sensorgraph.effects import EFFECTS, Amendment
 
 
 def null_of(data: ScanData, model: tuple[Amendment, ...] = ()) -> Fitted:
-    return fit(data, model, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    return fit(data, model, start_state(data, SCAN.noise), SCAN.noise)
 
 
 def told(error: Floats | float, *effects: Amendment) -> tuple[ScanData, Floats]:

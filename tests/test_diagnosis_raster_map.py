@@ -171,7 +171,7 @@ def test_strays_that_are_not_uniform_are_of_what_pixels_lack(pixels: Arena, coar
     data, _ = prepare_scans(replace(run, ranges=ranges), raster.arena, raster.widened(ROBOT))
     data = replace(raster.judged(data)[0], grain=PIXEL / 2 if coarse else 0.0, memo={})
     strays = (EFFECTS["random_outliers"](p=0.06),)
-    got = fit(data, strays, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=5)
+    got = fit(data, strays, start_state(data, SCAN.noise), SCAN.noise)
     (doubt,) = find(checked_of(got, gained=500.0, gains={0: 500.0}))
     assert "outliers, most of them at 1.2" in doubt.statement and doubt.failed == {0}
     assert doubt.is_of_building == coarse
@@ -182,7 +182,7 @@ def test_walls_laid_on_readings_count_their_errors_from_the_map(pixels: Arena) -
     null = fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
     laid = data.laid_by(null.state.corners)
     assert laid.laid is not None and 0 < np.abs(laid.laid).max() <= PIXEL / 2
-    assert null.j > fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1).j - 1e-6
+    assert null.j > fit(data, (), start_state(data, SCAN.noise), SCAN.noise).j - 1e-6
     seen = null.solver.jacobian.valid & data.returned
     left = np.abs(null.solver.y - null.solver.shift(null.state, np.zeros(0)))[seen]
     assert np.median(left) < 0.01
@@ -222,7 +222,7 @@ def test_readings_on_walls_whose_corners_stay_scatter_as_the_map_errs() -> None:
     arena = polygon_arena(ROOM)
     data, _ = prepare_scans(scanned(arena), arena, ROBOT)
     data = replace(data, corners=Corners.of(arena.walls, np.array([True, False, False, False])))
-    fitted = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=2)
+    fitted = fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
     rest = len(Nuisance) + 2 * 2
     assert (fitted.state.g[rest : rest + 2] == 0).all() and fitted.state.g[rest - 1] != 0
     assert {h.amendment.place for h in hypotheses(data, fitted)[0] if h.amendment.place} == {"w/edge_0"}

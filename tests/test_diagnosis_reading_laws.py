@@ -132,7 +132,7 @@ def short_readings(before: Floats) -> tuple[FitResiduals, Bools]:
     z = np.round(np.where(repeats & (before < 0.9), before, z), 3)
     run = Run(sensor=SENSOR, stamps=T, ranges=z, pose_stamps=T, poses=POSES, pose_frame="laser")
     data, _ = prepare_scans(run, ARENA, ROBOT)
-    view = FitResiduals(data, fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=3))
+    view = FitResiduals(data, fit(data, (), start_state(data, SCAN.noise), SCAN.noise))
     return view, view.short & (np.abs(view.z - before[np.isin(T, data.stamps)]) < 0.1)
 
 

@@ -40,7 +40,7 @@ def quiet(hall: Arena) -> ScanData:
 @pytest.fixture(scope="module")
 def null(quiet: ScanData) -> Fitted:
     """Return its fit without effects."""
-    return fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
+    return fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds())
 
 
 def moved_pose(data: ScanData, step: Floats) -> ScanData:
@@ -199,16 +199,16 @@ def test_without_an_effect_nuisances_stay_small_and_scales_at_one(null: Fitted) 
 def test_corners_stay_within_a_box_that_shrinks(hall: Arena) -> None:
     """A wall that stands 3 cm off must not pass for a careful map: the scale of its tolerance shrinks after a solve."""
     data = data_of(hall, (EFFECTS["moved_wall"](d=0.03).at("w/edge_0"),))
-    got = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=7)
+    got = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
     assert (np.abs(got.state.g) <= got.solver.box(got.state) * (1 + 1e-9)).all()
 
 
 def test_screening_foresees_the_gain_of_a_fit(hall: Arena) -> None:
     data = data_of(hall, (EFFECTS["range_bias"](b=0.008),))
     free = NoiseBounds()
-    without = fit(data, (), start_state(data, free), free, outer=1, inner=6)
+    without = fit(data, (), start_state(data, free), free)
     foreseen = next(c for c in smooth_candidates(data, without) if c.amendment.name == "range_bias")
-    with_it = fit(data, (foreseen.amendment,), without.state, free, outer=3, inner=4)
+    with_it = fit(data, (foreseen.amendment,), without.state, free)
     assert with_it.j - without.j > 20
     assert 0.4 < foreseen.gain / (with_it.j - without.j) < 2.5
     assert abs(with_it.model[0]["b"] - 0.008) < 0.002
@@ -238,7 +238,7 @@ def test_a_fit_recovers_what_was_planted(
     start = planted.moved_to(
         {k: 0.8 * v for k, v in values.items() if k in planted.effect.steps and k not in "xy"}
     )
-    got = fit(data, (start,), start_state(data, NoiseBounds()), NoiseBounds(), outer=6, inner=4)
+    got = fit(data, (start,), start_state(data, NoiseBounds()), NoiseBounds())
     sd = np.sqrt(np.diag(got.solution.covariance))
     for k, (parameter, deviation) in enumerate(zip(planted.effect.steps, sd, strict=True)):
         assert abs(got.model[0][parameter] - values[parameter]) < 4 * deviation + 1e-4, (k, parameter)
@@ -249,9 +249,9 @@ def test_a_fit_does_not_depend_on_where_it_starts(hall: Arena, s: float) -> None
     """Without the effect, wide tolerances and heavy tails explain it; the noise recovers from there last."""
     data, bounds = data_of(hall, (EFFECTS["range_scale"](s=s),)), NoiseBounds()
     start, scale = start_state(data, bounds), (EFFECTS["range_scale"](s=0.0),)
-    without = fit(data, (), start, bounds, outer=1, inner=7)
+    without = fit(data, (), start, bounds)
     assert without.state.map_scale > 2.0
-    found = [fit(data, scale, state, bounds, outer=6, inner=6) for state in (start, without.state)]
+    found = [fit(data, scale, state, bounds) for state in (start, without.state)]
     assert found[0].j == pytest.approx(found[1].j, abs=1.0)  # nats
 
 
@@ -269,7 +269,7 @@ def test_scans_that_differ_show_in_the_dispersion(quiet: ScanData) -> None:
     bursts = rng.random(quiet.n_scans) < 0.3
     noisy = quiet.ranges + rng.normal(size=quiet.ranges.shape) * np.where(bursts, 0.02, 0.0)[:, None]
     changed = replace(quiet, ranges=noisy, memo={})
-    got = fit(changed, (), start_state(changed, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
+    got = fit(changed, (), start_state(changed, NoiseBounds()), NoiseBounds())
     assert dispersion(FitResiduals(changed, got)).ratio > 2
 
 
@@ -278,9 +278,9 @@ def test_what_is_sure_but_small_is_no_doubt_and_a_doubt_says_its_size(quiet: Sca
     step = size * np.sign(np.sin(6 * quiet.sensor.bearings))  # no effect of the library has such steps
     fine = replace(quiet.sensor, sigma=0.003)
     noise = np.random.default_rng(4).normal(size=quiet.ranges.shape) * fine.sigma
-    ideal = fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds(), outer=1, inner=1).cast
+    ideal = fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds()).cast
     data = replace(quiet, sensor=fine, ranges=ideal.expected.reading + noise + step, memo={})
-    got = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=6)
+    got = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
     doubt = check(data, got, 0.0, {}, rng=np.random.default_rng(5))
     if size < 0.005:
         assert not doubt.is_doubted and doubt.immaterial
@@ -355,7 +355,7 @@ def test_a_bulge_of_a_wall_is_told_where_it_matters(hall: Arena, x: float, r: fl
     disc = EFFECTS["unmapped_obstacle"](x=x, y=-0.3 * r, r=r)
     data, noise_bounds = data_of(hall, (disc,)), NoiseBounds()
     bare = fit(data, (), start_state(data, noise_bounds), noise_bounds)
-    fitted = fit(data, (disc,), bare.state, noise_bounds, outer=1, inner=1)
+    fitted = fit(data, (disc,), bare.state, noise_bounds)
     found = check(data, fitted, 500.0, {0: 500.0}, rng=np.random.default_rng(0), null=bare)
     assert found.is_doubted is is_told
     assert not is_told or (found.told is not None and 0 in found.told.failed)

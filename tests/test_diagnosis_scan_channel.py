@@ -26,7 +26,7 @@ from sensorgraph.world.robot import parse_robot
 @pytest.fixture(scope="module")
 def null() -> Fitted:
     data = data_of(hall_arena())
-    return fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1)
+    return fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def quiet(hall: Arena) -> ScanData:
 
 
 def fitted(data: ScanData, *model: Amendment) -> Fitted:
-    return fit(data, model, start_state(data, NoiseBounds()), NoiseBounds(), outer=2)
+    return fit(data, model, start_state(data, NoiseBounds()), NoiseBounds())
 
 
 def sure_changes(model: Fitted, null: Fitted | None = None) -> list[Doubt]:

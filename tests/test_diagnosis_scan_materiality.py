@@ -24,7 +24,7 @@ from sensorgraph.world.robot import parse_robot
 def null(hall: Arena) -> Fitted:
     """Return the fit without effects of a run that has none."""
     quiet = data_of(hall)
-    return fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
+    return fit(quiet, (), start_state(quiet, NoiseBounds()), NoiseBounds())
 
 
 @pytest.mark.parametrize(("sticks_out", "is_named"), [(0.008, False), (0.08, True)])
@@ -47,7 +47,7 @@ def test_a_mount_that_is_stated_to_be_coarse_takes_more_for_a_name(
     robot = parse_robot(f"sensor: {{n_rays: 61}}\ntolerances: {{mount_yaw: {stated}}}")
     data, _ = prepare_scans(drive(hall), hall, robot)
     turned = replace(EFFECTS["mount_yaw"](delta=0.005), stderr={"delta": 0.0003})
-    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    null = fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
     assert (why_immaterial(null, turned, material_chance(null, turned)) is None) == is_named
 
 

@@ -46,7 +46,7 @@ def scan_data(poses: Floats, *, laser_frame: bool = False, stamps: Floats = STAM
 
 
 def null(found: ScanData) -> Fitted:
-    return fit(found, (), start_state(found, NoiseBounds()), NoiseBounds(), outer=1, inner=5)
+    return fit(found, (), start_state(found, NoiseBounds()), NoiseBounds())
 
 
 def standing(stamps: Floats = STAMPS) -> Floats:
@@ -121,7 +121,7 @@ def test_what_was_never_looked_at_is_named() -> None:
 def test_effects_of_the_model_are_not_said_to_be_hidden() -> None:
     found = scan_data(standing())
     state = start_state(found, NoiseBounds())
-    fitted = fit(found, (EFFECTS["latency"](tau=0.0),), state, NoiseBounds(), outer=1, inner=3)
+    fitted = fit(found, (EFFECTS["latency"](tau=0.0),), state, NoiseBounds())
     assert "latency" not in not_observable(found, fitted)
 
 

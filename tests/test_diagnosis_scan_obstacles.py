@@ -59,7 +59,7 @@ def to_and_fro(hall: Arena, effects: tuple[Amendment, ...] = (), seed: int = 0) 
 
 def bare(hall: Arena, run: Run) -> tuple[ScanData, Fitted]:
     data = prepare_scans(run, hall, ROBOT)[0]
-    return data, fit(data, (), start_state(data, NoiseBounds()), NoiseBounds(), outer=1, inner=4)
+    return data, fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
 
 
 def moved(dx: float, dy: float) -> Amendment:

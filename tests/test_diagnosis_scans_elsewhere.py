@@ -26,7 +26,7 @@ def fitted(late: float, share: float, *effects: Amendment, seed: int = 3) -> Fit
     is_late = np.random.default_rng(seed).random(len(run.stamps)) < share
     stamps = run.stamps + late * is_late
     data, _ = prepare_scans(replace(run, stamps=stamps), hall, parse_robot("sensor: {n_rays: 61}"))
-    return fit(data, effects, start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    return fit(data, effects, start_state(data, SCAN.noise), SCAN.noise)
 
 
 def doubts_of(got: Fitted, null: Fitted | None = None) -> list[Doubt]:
@@ -72,7 +72,7 @@ def test_scans_of_a_reference_that_jumps_are_elsewhere_by_its_jump() -> None:
     data, _ = prepare_scans(
         replace(run, poses=run.poses + shift[at]), hall, parse_robot("sensor: {n_rays: 61}")
     )
-    null = fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    null = fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
     (doubt,) = doubts_of(null)
     assert share_in(doubt.statement) == pytest.approx(jumps.mean(), abs=0.04)
     assert float(doubt.statement.split("by ")[1].split(" cm")[0]) == pytest.approx(15.0, rel=0.25)
@@ -85,7 +85,7 @@ def test_rays_that_are_rounded_alike_do_not_move_the_scan() -> None:
     run = drive(hall)
     rounded = np.round(run.ranges / 0.1) * 0.1
     data, _ = prepare_scans(replace(run, ranges=rounded), hall, parse_robot("sensor: {n_rays: 61}"))
-    got = fit(data, (steps,), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=7)
+    got = fit(data, (steps,), start_state(data, SCAN.noise), SCAN.noise)
     assert doubts_of(got) == []
 
 

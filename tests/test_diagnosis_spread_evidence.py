@@ -25,7 +25,7 @@ OCCLUSION = EFFECTS["self_occlusion"](r0=0.3, theta1=0.1, theta2=0.2)
 @pytest.fixture(scope="module")
 def null() -> Fitted:
     data, _ = prepare_scans(site_run(2), ARENA, ROBOT)
-    return fit(data, (), start_state(data, SCAN.noise), SCAN.noise, outer=1, inner=2)
+    return fit(data, (), start_state(data, SCAN.noise), SCAN.noise)
 
 
 def site_of(null: Fitted) -> ScanData:

@@ -106,7 +106,7 @@ def test_slanting_rays_scatter_as_the_wobble_says() -> None:
     data = sweeps(0.2, 0.0)
     ratios = []
     for one in (data, replace(data, wobble=(0.0, 0.0), memo={})):
-        view = FitResiduals(one, fit(one, (), start_state(one, SCAN.noise), SCAN.noise, outer=1, inner=6))
+        view = FitResiduals(one, fit(one, (), start_state(one, SCAN.noise), SCAN.noise))
         incidence, off = np.degrees(view.incidence), np.abs(view.z - view.mu) / view.sigma
         slanting, facing = (
             view.returned & (incidence > low) & (incidence < high) for low, high in ((50, 70), (0, 15))

@@ -111,7 +111,7 @@ def test_a_range_beyond_which_nothing_returns_is_seen_though_much_is_unknown(roo
     expected = cast(room, data.poses, data.sensor).ranges
     judged = replace(data, ranges=np.where(expected > 2.4, np.nan, data.ranges), memo={})
     assert (np.isnan(judged.ranges) & (expected > 2.4)).mean() > 0.1
-    null = fit(judged, (), start_state(judged, NoiseBounds()), NoiseBounds(), outer=1, inner=3)
+    null = fit(judged, (), start_state(judged, NoiseBounds()), NoiseBounds())
     proposed = EFFECTS["max_range"].diagnostics.propose(FitResiduals(judged, null))
     assert proposed and proposed[0].values["R"] == pytest.approx(2.0, abs=0.05)
 

@@ -118,7 +118,7 @@ def learnt(
     parts = [window for n in cuts for window in data.windows(n)]
     fits = []
     for window in parts:
-        fits.append(fit(window, (), start_state(window, noise), noise, outer=1, inner=12))
+        fits.append(fit(window, (), start_state(window, noise), noise))
         work.add(1)
     bounds = noise_bounds(fits)
     levels: list[tuple[WindowEstimate, ...]] = []
@@ -154,7 +154,7 @@ def prepared(run: Run, arena: Arena, robot: Robot) -> ScanData:
     else:
         data, _ = without_unknown_space(prepare_scans(run, arena, robot)[0])
     data = at_likely_poses(replace(data, laser_frame=False), noise)
-    null = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
+    null = fit(data, (), start_state(data, noise), noise)
     sensor = data.sensor
     for found in quantisation.propose(FitResiduals(data, null)):
         sensor = replace(sensor, resolution=found.values["q"])
@@ -191,7 +191,7 @@ def _hull(intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 def window_estimate(data: ScanData, bounds: NoiseBounds, rng: np.random.Generator) -> WindowEstimate:
     """Evaluate one window of a known-good run like a run under test."""
-    null = fit(data, (), start_state(data, bounds), bounds, outer=1, inner=7)
+    null = fit(data, (), start_state(data, bounds), bounds)
     gains, sizes = clutter_gains(data, null, bounds)
     smooth, stderrs = single_effects(null)
     return WindowEstimate(
@@ -217,7 +217,7 @@ def hidden_by_scraps(arena: Arena) -> tuple[str, ...]:
 def site_effects(data: ScanData) -> tuple[Amendment, ...]:
     """Fit the effects that a site may always show, one after another, while the evidence suffices."""
     noise = SCAN.site.wide_noise
-    current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
+    current = fit(data, (), start_state(data, noise), noise)
     left = site_starts()
     while left:
         tried = [with_site_effect(data, current, start) for start in left]
@@ -236,7 +236,7 @@ def range_effects(data: ScanData) -> tuple[Amendment, ...]:
     The noise is not included: a mean over runs would hide the small noise of a calm run.
     """
     noise = SCAN.site.wide_noise
-    current = fit(data, (), start_state(data, noise), noise, outer=1, inner=12)
+    current = fit(data, (), start_state(data, noise), noise)
     for start in site_starts():
         if start.effect.nuisances:
             current = with_site_effect(data, current, start)
@@ -252,7 +252,7 @@ def site_starts() -> list[Amendment]:
 def with_site_effect(data: ScanData, current: Fitted, start: Amendment) -> Fitted:
     """Add an effect to the fit of a known-good run."""
     noise = SCAN.site.wide_noise
-    got = fit(data, (*current.model, start), current.state, noise, outer=3, inner=4)
+    got = fit(data, (*current.model, start), current.state, noise)
     if got.model[-1].search_steps:
         got = searched(data, got, noise, rounds=6, first=1.0, turns=2)
     return got
@@ -291,7 +291,7 @@ def clutter_gains(
     proposed = [candidate.amendment for candidate in shortlist(data, null, 0.0, SearchMemory())]
     names = {amendment.name for amendment in proposed}
     for amendment in (*proposed, *unproposed(data, names)):
-        got = fit(data, (amendment,), null.state, bounds, outer=3, inner=3)
+        got = fit(data, (amendment,), null.state, bounds)
         if got.model[-1].search_steps:
             got = searched(data, got, bounds, rounds=3, first=1.0, turns=1)
         (effect,) = got.model

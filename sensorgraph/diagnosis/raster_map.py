@@ -386,4 +386,4 @@ def _log_likelihood(data: ScanData, is_compared: Bools, noise_bounds: NoiseBound
     data = replace(data, ranges=np.where(is_compared, data.ranges, np.nan), memo={})
     few = thin(data, max(1, data.n_scans // SCAN.selection.n_scans))
     model = (RANGE_BIAS(b=0.0),)
-    return fit(few, model, start_state(few, noise_bounds), noise_bounds, outer=2, inner=6).j
+    return fit(few, model, start_state(few, noise_bounds), noise_bounds).j

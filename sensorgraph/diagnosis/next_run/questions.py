@@ -158,7 +158,7 @@ class RoomExposure:
         scans = planned_scans(samples, self.arena, self.robot, self.duration)
         expected = cast(scans, ()).expected
         scans.ranges[:] = np.where(expected.p_return > 0.5, expected.reading, np.inf)
-        fitted = fit(scans, (), start_state(scans, SCAN.noise), SCAN.noise, outer=1, inner=1)
+        fitted = fit(scans, (), start_state(scans, SCAN.noise), SCAN.noise)
         sensor = self.robot.sensor
         share = scans.ranges.size / len(spins) / (self.duration * sensor.rate * sensor.n_rays)
         return RunExposure(scans, fitted), share

@@ -189,9 +189,6 @@ def fit(
     model: Sequence[Amendment],
     state: State,
     noise_bounds: NoiseBounds,
-    *,
-    outer: int = 4,
-    inner: int = 4,
 ) -> Fitted:
     """Fit the smooth parameters, nuisances and noise; cast again until the objective no longer increases."""
     best: Fitted | None = None
@@ -204,12 +201,12 @@ def fit(
         state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[list(POSE_LIKE)])
     state.g[held_at_0] = 0.0
     is_laid, is_cast = data.grain > 0, False
-    for _ in range(max(outer, SCAN.fit.casts) if is_laid and not model else outer):
+    for _ in range(SCAN.fit.casts):
         if not is_cast:
             laid = as_cast(data, state)  # so that the fit of another effect starts at the same cast
             solver, at = solver_for(laid, model)
             p = np.zeros(solver.n_effects)
-        solution = iterate(solver, state, p, noise_bounds, rounds=inner)
+        solution = iterate(solver, state, p, noise_bounds)
         solution.state.laid, solution.state.posed = laid.laid, laid.posed
         got = Fitted(model=model, solution=solution, cast=at, solver=solver)
         better = best is None or got.j > best.j + SCAN.fit.min_gain

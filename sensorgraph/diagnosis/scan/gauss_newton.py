@@ -246,15 +246,13 @@ def iterate(
     state: State,
     p: Floats,
     noise_bounds: NoiseBounds,
-    *,
-    rounds: int,
 ) -> Solution:
     """Alternate between responsibilities and the linear solve; return the solution with the best J."""
     state, p = state.copy(), p.copy()
     best: Solution | None = None
     optimum: BoundedOptimum | None = None
     n, has_converged = solver.n_g, True
-    for turn in range(rounds + 1):
+    for turn in range(SCAN.fit.max_rounds + 1):
         responsibilities = e_step(solver.data, solver.expected, solver.shift(state, p), state.noise)
         system = solver.assemble(responsibilities.weight, state.pose_scale)
         inverse = np.linalg.inv(pose_prior(solver.data, state.pose_scale))
@@ -276,7 +274,7 @@ def iterate(
                 break
         elif turn > 2:
             break
-        if turn == rounds:
+        if turn == SCAN.fit.max_rounds:
             has_converged = False
             break
         optimum = solver.maximise(system, state, optimum)

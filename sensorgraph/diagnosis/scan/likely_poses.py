@@ -31,7 +31,7 @@ def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: boo
     if even_rays:
         seen = replace(data, ranges=np.where(odd, np.nan, data.ranges), memo={})
     state = start_state(seen, noise_bounds)
-    got = fit(seen, (), state, noise_bounds, outer=SCAN.fit.casts, inner=SCAN.fit.rounds)
+    got = fit(seen, (), state, noise_bounds)
     return data.posed_by(errors_of_laser(data, got.state))
 
 

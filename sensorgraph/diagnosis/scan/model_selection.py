@@ -83,9 +83,8 @@ class EffectSearch:
     def __init__(self, data: ScanData, noise_bounds: NoiseBounds, progress: ProgressBars) -> None:
         self.data, self.noise_bounds, self.progress = data, noise_bounds, progress
         self.threshold = SCAN.selection.threshold
-        self.casts = 1 if data.posed is None else SCAN.fit.casts
         with progress("fitting the simulator", ""):
-            self.null = self._fit((), start_state(data, noise_bounds), self.casts, 7)
+            self.null = self._fit((), start_state(data, noise_bounds))
         self.current = self.null
         self.steps: list[Step] = []
         self.rivals: dict[str, tuple[Amendment, float]] = {}
@@ -149,7 +148,7 @@ class EffectSearch:
 
     def _against_refitted(self) -> float:
         """Return the evidence [nats] of the chosen effect over the present model, fitted again from its state."""
-        again = self._fit(self.current.model, self._chosen.state, self.casts, 4)
+        again = self._fit(self.current.model, self._chosen.state)
         if again.j > self.current.j:
             self.current = again
             self.null = self.null if again.model else again
@@ -173,8 +172,7 @@ class EffectSearch:
     def rest(self, index: int) -> Fitted:
         """Return the fit of the present model without one of its effects."""
         if index not in self._rests:
-            casts = max(2, self.casts)  # where poses move the laser, as many as the null has
-            self._rests[index] = self._fit(without(self.current.model, index), self.current.state, casts, 4)
+            self._rests[index] = self._fit(without(self.current.model, index), self.current.state)
         return self._rests[index]
 
     def evidence(self, model: Sequence[Amendment], hypothesis: Amendment) -> float:
@@ -184,8 +182,8 @@ class EffectSearch:
             return math.inf
         return worth(self.data, hypothesis, self.current, self.rest(index))
 
-    def _fit(self, model: tuple[Amendment, ...], state: State, outer: int, inner: int) -> Fitted:
-        return fit(self.data, model, state, self.noise_bounds, outer=outer, inner=inner)
+    def _fit(self, model: tuple[Amendment, ...], state: State) -> Fitted:
+        return fit(self.data, model, state, self.noise_bounds)
 
 
 def _best_of_each(tried: Sequence[tuple[Amendment, float]]) -> tuple[tuple[Amendment, float], ...]:
@@ -246,9 +244,9 @@ class CandidateFits:
         """Fit one candidate to a part of the scans."""
         if self._base is None:
             state = thin_state(self.current.state, self._every)
-            self._base = fit(few, self.current.model, state, self.noise_bounds, outer=1, inner=2)
+            self._base = fit(few, self.current.model, state, self.noise_bounds)
         model = (*self.current.model, candidate.amendment)
-        got = fit(few, model, self._base.state, self.noise_bounds, outer=3, inner=2)
+        got = fit(few, model, self._base.state, self.noise_bounds)
         gain = evidence(few, got.model[-1], got, self._base) * self._every
         gain -= price(candidate.amendment, self.data)
         self.memory.note(candidate, gain)
@@ -280,7 +278,7 @@ class CandidateFits:
             if gain < self._limit():
                 self.behind.append((got.model[-1], gain))
                 continue
-            full = fit(self.data, got.model, self.current.state, self.noise_bounds, outer=3, inner=3)
+            full = fit(self.data, got.model, self.current.state, self.noise_bounds)
             if full.model[-1].search_steps:
                 full = searched(self.data, full, self.noise_bounds, rounds=2, first=0.25, turns=1)
             out.append((full, worth(self.data, full.model[-1], full, self.current)))

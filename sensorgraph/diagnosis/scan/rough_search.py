@@ -16,12 +16,11 @@ def searched(
     data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
 ) -> Fitted:
     """Search the rough parameters of the last effect, then fit again."""
-    strained = got.state.stretch > SCAN.nuisance.stretched_scale
     for _ in range(turns):
         polished = polish(
             data, got.model, len(got.model) - 1, got.state, noise_bounds, rounds=rounds, first=first
         )
-        better = fit(data, polished, got.state, noise_bounds, outer=1, inner=4 if strained else 2)
+        better = fit(data, polished, got.state, noise_bounds)
         gained = better.j - got.j
         if gained > 0:
             got = better

@@ -163,11 +163,11 @@ class FitSettings:
     max_strides: int = 16
     """Maximum number of rounds of a search with growing steps, which started far from the optimum."""
     casts: int = 4
-    """Maximum number of casts of a fit without effects, each at the walls or poses of the previous one: in an
-    occupancy-grid map, or with a wide reference tolerance."""
+    """Maximum number of casts of a fit, each at the effects, walls and poses of the previous one."""
+    max_rounds: int = 30
+    """Maximum number of expectation-maximisation rounds at the same cast; a fit ends earlier, when J no longer rises."""
     rounds: int = 6
-    """Number of rounds of a fit at the same cast: of likely poses, of a held-out scan, and of the noise at a step of a searched
-    parameter."""
+    """Number of rounds for the pose of a held-out scan, and for the noise at a step of a searched parameter."""
     settled_step: float = 0.2
     """Step below which a fit has converged, in standard errors; of a search, relative to its first step."""
     profile_tolerance: float = 0.02

@@ -125,7 +125,7 @@ def _profiled(fitted: Fitted, index: int, noise_bounds: NoiseBounds, name: str, 
             *fitted.model[index + 1 :],
         )
         if spec.refit:
-            j = fit(data, moved, fitted.state, noise_bounds, outer=1, inner=1).j
+            j = fit(data, moved, fitted.state, noise_bounds).j
             return np.full(data.n_scans, j / data.n_scans)
         return np.asarray(log_p_at(data, moved, fitted.state, shares_noise).sum(axis=1))
 

@@ -294,8 +294,8 @@ def shift_tolerances(data: ScanData, cuts: Sequence[int]) -> Tolerances:
     clock = [LATENCY(tau=0.0)]
     nominal, noise, squares = data.tolerances, SCAN.site.wide_noise, []
     for window in (window for n in cuts for window in data.windows(n)):
-        xy, yaw = fit(window, mount, start_state(window, noise), noise, outer=3, inner=5).model
-        (late,) = fit(window, clock, start_state(window, noise), noise, outer=3, inner=5).model
+        xy, yaw = fit(window, mount, start_state(window, noise), noise).model
+        (late,) = fit(window, clock, start_state(window, noise), noise).model
         squares.append([xy["dx"] ** 2 / 2 + xy["dy"] ** 2 / 2, yaw["delta"] ** 2, late["tau"] ** 2])
     shift, turn, stamp = np.sqrt(np.mean(squares, axis=0))
     return replace(

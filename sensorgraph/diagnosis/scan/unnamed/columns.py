@@ -32,8 +32,6 @@ from sensorgraph.types import Bools, Floats, Ints
 
 N_PARTS = 16
 """Number of parts of the run whose scatter gives the standard error."""
-MAX_ROUNDS = 20
-"""Largest number of rounds of a fit with the columns of a difference, which starts where it is zero; further ones gain 0.2 nats each."""
 CONFIDENCE = 0.99
 """Confidence level of the agreement between the parts."""
 
@@ -212,7 +210,7 @@ def estimated(fitted: Fitted, one: Columns) -> ColumnEstimate:
     state.delta = solver.data.pose_start
     state.pose_scale = state.map_scale = 1.0
     start = np.concatenate([fitted.solution.p, np.zeros(k)])
-    solution = iterate(solver, state, start, bounds, rounds=MAX_ROUNDS)
+    solution = iterate(solver, state, start, bounds)
     weight, scale = solution.responsibilities.weight, solution.state.pose_scale
     _, systems = systems_of_parts(solver, weight, scale)
     x = np.concatenate([solution.state.g, solution.p])

@@ -84,7 +84,7 @@ def freed_scatter(data: ScanData, final: Fitted, noise_bounds: NoiseBounds) -> N
     free = replace(noise_bounds, core=(low * scale, high * scale))
     state = final.state.copy()
     state.noise.core, state.noise.tail = scale, noise_bounds.tail[0]
-    got = fit(data, kept, state, free, outer=1, inner=6)
+    got = fit(data, kept, state, free)
     needed = 0.0 if has_dropped else SCAN.selection.threshold
     return free if got.j > final.j + needed else None
 
