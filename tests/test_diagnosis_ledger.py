@@ -258,3 +258,30 @@ def test_command_refuses_what_it_cannot_explain_in_one_line(
         assert said in text and "\n" not in text
     with pytest.raises(SensorgraphError, match="did you mean mirror"):
         found.why("miror")
+
+
+def test_the_evidence_expected_of_a_material_size_is_that_of_a_run_with_it(
+    silent: Finding, room: Arena
+) -> None:
+    (absent,) = silent.ledger.of("range_bias")
+    planted = EFFECTS["range_bias"].sizes["b"]
+    finding = diagnose(drive_in_room(room, bias=planted), room, parse_robot(ROOM_ROBOT), plan_next=False)
+    (present,) = finding.ledger.of("range_bias")
+    assert absent.at_materiality is not None and absent.price is not None
+    assert present.facts.evidence is not None
+    scatter = np.sqrt(2 * (absent.at_materiality + absent.price))  # of a log-likelihood ratio
+    assert abs(present.facts.evidence - absent.at_materiality) < 3 * scatter
+
+
+def test_a_material_size_is_ruled_out_by_two_standard_errors() -> None:
+    odometry, drive = diagnose_motion(make_run(3, radius=0.03), ROBOT, ())
+    ledger = ledger_of({"odometry": odometry, "drive": drive})
+    judged = [one for one in ledger if one.at_materiality is not None]
+    assert any(one.is_ruled_out for one in judged)
+    for one in judged:
+        if one.is_ruled_out:
+            (name,) = EFFECTS[one.name].sizes
+            assert abs(one.parameters[name]) + 2 * one.stderr.get(name, 0.0) < EFFECTS[one.name].sizes[name]
+            assert one.at_materiality is not None and one.at_materiality > 12
+        assert one.is_ruled_out == ("ruled out" in paragraph(one))
+        assert "evidence" in paragraph(one)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import replace
 
@@ -128,7 +129,33 @@ def _not_accepted(result: ChannelResult, effect: Effect, entry: Entry | None) ->
             facts=facts,
             needs=needs_of(effect),
         )
-    return replace(entry, facts=replace(entry.facts, not_observable=everywhere))
+    entry = replace(entry, facts=replace(entry.facts, not_observable=everywhere))
+    expected = result.at_materiality.get(effect.name)
+    if expected is None:
+        return entry
+    return replace(
+        entry,
+        materiality=least_size(effect),
+        at_materiality=expected,
+        is_ruled_out=_is_surely_immaterial(entry, effect, expected),
+    )
+
+
+def _is_surely_immaterial(entry: Entry, effect: Effect, expected: float) -> bool:
+    """Return whether a size is below its materiality by two standard errors, with sufficient evidence for a material size.
+
+    Parameters
+    ----------
+    expected : [nats] Evidence at its materiality, after its price. It gives the standard error of a size without one.
+    """
+    least = entry.facts.threshold
+    if expected < least:
+        return False
+    share = 1 / math.sqrt(2 * (expected + (entry.price or 0.0)))  # standard error in materialities
+    return all(
+        abs(entry.parameters.get(name, 0.0)) + 2 * max(entry.stderr.get(name, 0.0), share * limit) < limit
+        for name, limit in effect.sizes.items()
+    )
 
 
 def _why_idle(result: ChannelResult, usual: str) -> str:
@@ -226,7 +253,8 @@ def accepted_entry(a: Amendment, threshold: float, price: float, size: Simulatio
 def least_size(effect: Effect) -> str:
     """Return the materiality of an effect in words; empty if it has no size."""
     limits = effect(**effect.sizes)
-    return ", ".join(quantity(limits, name).lstrip("+") for name in limits.parameters)
+    words = ", ".join(quantity(limits, name).lstrip("+") for name in limits.parameters)
+    return re.sub(r"(\.\d*?)0+(?!\d)", lambda m: m[1].rstrip("."), words)  # 0.50 cm is 0.5 cm
 
 
 def needs_of(effect: Effect) -> str:

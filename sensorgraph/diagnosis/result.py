@@ -181,6 +181,8 @@ class ChannelResult:
     gap: Gap | None = None
     not_observable: Mapping[str, str] = field(default_factory=dict)
     """Effect -> reason why this run could not have shown it."""
+    at_materiality: Mapping[str, float] = field(default_factory=dict)
+    """Effect -> evidence [nats] that it would have in this run at its materiality, after its price."""
     skipped: str = ""
     """Reason why the channel was not evaluated; empty if it was."""
     notes: Mapping[str, Any] = field(default_factory=dict)

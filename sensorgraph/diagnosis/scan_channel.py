@@ -18,7 +18,11 @@ from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, tol
 from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
 from sensorgraph.diagnosis.scan.model_selection import Explained, explain
 from sensorgraph.diagnosis.scan.naming import ScanNames, name_scan_effects
-from sensorgraph.diagnosis.scan.observability import not_observable
+from sensorgraph.diagnosis.scan.observability import (
+    RunExposure,
+    evidence_at_materiality,
+    not_observable,
+)
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
@@ -84,12 +88,19 @@ def diagnose_scans(
         gap = gap_of(unseen, shared=shared)
         second_gap = None if second is None else gap_of(second, shared=shared)
     with clock.stage("observable"):
-        unseen_effects = {**names.result.not_observable, **not_observable(train, final)}
+        exposure = RunExposure(train, final)
+        unseen_effects = {**names.result.not_observable, **not_observable(exposure)}
         considered = (
             *effect_entries(train, explained, names.complete, names.small, names.chances),
             *family_entries(goodness, train.sensor.sigma),
         )
-        result = replace(names.result, gap=gap, not_observable=unseen_effects, considered=considered)
+        result = replace(
+            names.result,
+            gap=gap,
+            not_observable=unseen_effects,
+            at_materiality=evidence_at_materiality(exposure),
+            considered=considered,
+        )
     return ScanDiagnosis(
         result=result,
         names=names,

@@ -66,6 +66,12 @@ class Entry:
     """[nats] Complexity penalty, which the evidence does not contain."""
     alone: float | None = None
     """[nats] Evidence before any effect was accepted; None if it was not fitted then."""
+    materiality: str = ""
+    """Smallest size that matters to a user, in words; empty if it has none."""
+    at_materiality: float | None = None
+    """[nats] Evidence that it would have in this run at this size; None if unknown."""
+    is_ruled_out: bool = False
+    """Whether its size is surely smaller than this."""
     size: Mapping[str, float] = field(default_factory=dict)
     """Error of a simulation without it; each key contains its unit."""
     consequence: str = ""
@@ -101,7 +107,9 @@ class Entry:
         needs = f"it needs {nats(facts.threshold)}"
         match self.decided_by:
             case DecidedBy.EVIDENCE if facts.evidence is not None or not self.remark:
-                return f"its evidence is {nats(facts.evidence)}, and {needs}"
+                return f"its evidence is {nats(facts.evidence)}" + (
+                    f", and {needs}" if facts.threshold > 0 else ""
+                )
             case DecidedBy.CLOSE_RIVAL if rival is not None:
                 lead, required = nats(facts.lead), nats(facts.required_lead)
                 return f"{rival.title} explains the data almost as well: {lead} apart, {required} required"
@@ -142,6 +150,9 @@ class Entry:
             "evidence_nats": facts.pop("evidence"),
             "price_nats": self.price,
             "alone_nats": self.alone,
+            "materiality": self.materiality,
+            "at_materiality_nats": self.at_materiality,
+            "ruled_out": self.is_ruled_out,
             "size": dict(self.size),
             "consequence": self.consequence,
             "rival": None if self.rival is None else asdict(self.rival),
@@ -168,6 +179,9 @@ class Entry:
             xy=None if xy is None else (xy[0], xy[1]),
             price=data["price_nats"],
             alone=data["alone_nats"],
+            materiality=data["materiality"],
+            at_materiality=data["at_materiality_nats"],
+            is_ruled_out=data["ruled_out"],
             rival=None if rival is None else Competitor(**rival),
         )
 

@@ -50,7 +50,7 @@ def check_known(name: str, known: Sequence[str]) -> None:
 
 def paragraph(entry: Entry) -> str:
     """Return why an entry was or was not reported: best size, evidence, what beat it, and what would decide."""
-    parts = [_answer(entry), _best(entry), _evidence(entry), _rival(entry), _next(entry)]
+    parts = [_answer(entry), _best(entry), _evidence(entry), _material(entry), _rival(entry), _next(entry)]
     return " ".join(part for part in parts if part)
 
 
@@ -92,6 +92,14 @@ def _evidence(entry: Entry) -> str:
     return text
 
 
+def _material(entry: Entry) -> str:
+    """Return the evidence that an effect without evidence would have at the smallest size that matters."""
+    if entry.at_materiality is None or entry.decided_by not in (DecidedBy.WEAK, DecidedBy.NOT_OBSERVABLE):
+        return ""
+    text = f"At {entry.materiality}, the smallest size that matters, this run would give it {nats(entry.at_materiality)}"
+    return f"{text}; such a size is ruled out." if entry.is_ruled_out else f"{text}."
+
+
 def _rival(entry: Entry) -> str:
     """Return the strongest other explanation."""
     if entry.rival is None or entry.decided_by is DecidedBy.BEATEN:
@@ -101,6 +109,8 @@ def _rival(entry: Entry) -> str:
 
 def _next(entry: Entry) -> str:
     """Return what the next run would have to show; of a named effect, what would confirm it against its rival."""
+    if entry.is_ruled_out:
+        return ""
     separates = "" if entry.rival is None else entry.rival.separates
     more = "" if entry.verdict is Verdict.NAMED else _more_readings(entry)
     if separates:

@@ -59,6 +59,16 @@ class TriedEffect:
     """Of its size, if it were in the model; decides whether the run could have shown it."""
 
     @property
+    def has_expectation(self) -> bool:
+        """Whether the evidence that it would have at a given size is known."""
+        return bool(self.variance and self.amendment.effect.sizes)
+
+    def expected(self, materialities: float) -> float:
+        """Return the log Bayes factor [nats] that it would have in this run at a size, before its price."""
+        size = materialities * next(iter(self.amendment.effect.sizes.values()))
+        return float(0.5 * size**2 / self.variance)
+
+    @property
     def entry(self) -> Entry:
         """Its entry of the ledger."""
         facts = Facts(has_name=True, evidence=self.evidence, threshold=SCAN.selection.threshold)
@@ -205,6 +215,9 @@ def channel_result(
         rivals=tuple(rival for one in named if (rival := one.rival) is not None),
         gap=gap,
         not_observable={**_unseen_effects(tried), **not_observable},
+        at_materiality={
+            one.amendment.name: one.expected(1.0) - one.price for one in tried if one.has_expectation
+        },
         considered=(
             *(one.entry for one in order),
             *(one.entry for one in tried),
@@ -248,10 +261,9 @@ def _unseen_effects(tried: Iterable[TriedEffect]) -> dict[str, str]:
     out = {}
     for one in tried:
         effect = one.amendment.effect
-        if not one.variance or not effect.sizes:
+        if not one.has_expectation:
             continue
-        size = OBSERVABLE_SIZE * next(iter(effect.sizes.values()))
-        expected = 0.5 * size**2 / one.variance
+        expected = one.expected(OBSERVABLE_SIZE)
         if expected - one.price < SCAN.selection.threshold:
             out[effect.name] = (
                 f"{effect.diagnostics.why_unseen}: at three times its materiality, the expected log Bayes factor is "

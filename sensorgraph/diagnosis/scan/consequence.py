@@ -89,7 +89,7 @@ class ScanError:
     """Error of simulated readings."""
 
     offset: float = 0.0
-    """[m] root mean square of the mean error of the affected readings."""
+    """[m] typical mean error of the affected readings: root mean square or, of an effect, median."""
     noise: float = 0.0
     """[m] error of the standard deviation of the affected readings."""
     affected: float = 0.0
@@ -182,7 +182,10 @@ def likely_causes(deviations: Sequence[Deviation]) -> tuple[str, ...]:
 
 
 def scan_change(one: Cast, other: Cast) -> ScanError:
-    """Return the difference between two simulations of the same scans."""
+    """Return the difference between two simulations of the same scans.
+
+    Its offset is a median, because some rays pass an edge in one of them, and differ by metres.
+    """
     a, b = one.expected, other.expected
     with np.errstate(invalid="ignore"):
         off = np.abs(a.reading - b.reading)
@@ -193,7 +196,7 @@ def scan_change(one: Cast, other: Cast) -> ScanError:
     lost = np.abs(a.p_return - b.p_return)
     wrong = float(lost.mean()) + abs(a.stray - b.stray) + abs(a.short - b.short)
     return ScanError(
-        offset=rms(off[moved]),
+        offset=float(np.median(off[moved])) if moved.any() else 0.0,
         noise=rms(noise[noisy]),
         affected=float((moved | noisy).mean()),
         wrong=min(wrong, 1.0) if wrong > LEAST_CHANGE else 0.0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Facts, Objection
@@ -19,7 +19,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.diagnosis.scan.unnamed.family import Doubt
 from sensorgraph.diagnosis.scan.worth import price
-from sensorgraph.effects import Amendment
+from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.effect import without
 
 
@@ -65,7 +65,7 @@ def effect_entries(
             continue
         facts = Facts(has_name=True, evidence=gain, threshold=SCAN.selection.threshold)
         entry = replace(effect_entry(a, facts, price=price(a, data)), alone=_alone(explained.steps, a))
-        entry = _with_winner(entry, a, explained.steps[round_])
+        entry = _with_winner(entry, a, explained.steps[round_:], {b.name for b in model})
         out.append(_with_size(entry, cast(few, (*model, a)), whole))
         names.add(name)
     for name, candidate in explained.expected.items():
@@ -92,12 +92,20 @@ def _alone(steps: Sequence[Step], a: Amendment) -> float | None:
     return max((gain for b, gain in first if (b.name, b.place) == (a.name, a.place)), default=None)
 
 
-def _with_winner(entry: Entry, a: Amendment, step: Step) -> Entry:
-    """Add the effect that a round of the search chose instead, or why it chose none."""
+def _with_winner(entry: Entry, a: Amendment, steps: Sequence[Step], accepted: Set[str]) -> Entry:
+    """Add the effect that the first of these rounds of the search chose instead, or why it chose none.
+
+    Parameters
+    ----------
+    accepted : Names of the effects of the final model.
+    """
+    step, *later = steps
     if not step.chosen:
         return replace(entry, remark="the accepted effects are approximate, and may leave as much")
     if step.chosen == entry.name:
-        return replace(entry, remark="effects that were found later explain the same data")
+        found = [EFFECTS[one.chosen].title for one in later if one.chosen in accepted] or ["another effect"]
+        verb = "explains" if len(found) == 1 else "explain"
+        return replace(entry, remark=f"{' and '.join(found)}, found later, {verb} the same data")
     won, gain = max((one for one in step.tried if one[0].name == step.chosen), key=lambda one: one[1])
     return replace(
         entry, rival=Competitor(title=won.effect.title, evidence=gain, separates=separation(a, won))

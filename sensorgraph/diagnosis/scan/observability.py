@@ -31,16 +31,26 @@ from sensorgraph.effects.exposures import falls_short, listed
 from sensorgraph.types import Bools, Floats
 
 
-def not_observable(data: ScanData, fitted: Fitted) -> dict[str, str]:
-    """Return the effects that this run could not have shown, each with the reason."""
-    exposure = RunExposure(data, fitted)
-    out = _hidden_by_poses(data)
-    present = set(fitted.names())
+def not_observable(exposure: RunExposure) -> dict[str, str]:
+    """Return the effects that a run could not have shown, each with the reason."""
+    out = _hidden_by_poses(exposure.data)
+    present = set(exposure.fitted.names())
     for found in (_told_by_effects(exposure), _smooth(exposure)):
         for name, why in found.items():
             if name not in present and name not in out:
                 out[name] = why
     return {name: out[name] for name in EFFECTS if name in out}
+
+
+def evidence_at_materiality(exposure: RunExposure) -> dict[str, float]:
+    """Return the evidence [nats] that each smooth effect of the whole sensor would have at its materiality, after its price."""
+    out = {}
+    for hypothesis in exposure.hypotheses[0]:
+        amendment, effect = hypothesis.amendment, hypothesis.amendment.effect
+        if effect.sizes and not amendment.place:
+            shifts = [hypothesis.directions @ (size / OBSERVABLE_SIZE) for size in _sizes(effect)]
+            out[effect.name] = min(map(exposure.nats, shifts)) - price(amendment, exposure.data)
+    return out
 
 
 def _hidden_by_poses(data: ScanData) -> dict[str, str]:
