@@ -28,7 +28,8 @@ from scipy.stats import binomtest
 
 from benchmarks.arguments import existing, parser_of
 from benchmarks.hidden_effects.results import Case, load
-from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger, Verdict
+from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import Facts, Verdict
 from sensorgraph.diagnosis.scan.materiality import material_probability
 from sensorgraph.effects import EFFECTS
 

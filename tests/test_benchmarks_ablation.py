@@ -21,7 +21,8 @@ from benchmarks.ablation import (
     without_hypothesis,
 )
 from benchmarks.hidden_effects.results import Case
-from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Facts, Ledger, Objection
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 
 ACCEPTED = Facts(
     has_name=True,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from planners.types import Floats
-from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger, Verdict
-from sensorgraph.diagnosis.engine.price import occam_factor
-from sensorgraph.diagnosis.engine.selection import remove_superfluous, select
+from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
+from sensorgraph.diagnosis.engine.selection import occam_factor, remove_superfluous, select
+from sensorgraph.diagnosis.engine.verdict import Facts, Verdict
 from sensorgraph.diagnosis.engine.why import why
 
 PRICE, THRESHOLD = 3.0, 6.0

@@ -18,16 +18,8 @@ from planners.arena import Arena
 from sensorgraph.cli import run as cli
 from sensorgraph.diagnosis import engine
 from sensorgraph.diagnosis.diagnose import diagnose, diagnose_motion
-from sensorgraph.diagnosis.engine.ledger import (
-    Competitor,
-    DecidedBy,
-    Entry,
-    Facts,
-    Ledger,
-    Objection,
-    Verdict,
-    judge,
-)
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
 from sensorgraph.diagnosis.engine.why import paragraph, why
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.ledger import families_of, ledger_of, not_observable

@@ -17,7 +17,8 @@ import sensorgraph as sg
 from logs.transforms import compose, invert
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.diagnosis.engine.ledger import Ledger, Verdict
+from sensorgraph.diagnosis.engine.ledger import Ledger
+from sensorgraph.diagnosis.engine.verdict import Verdict
 from sensorgraph.diagnosis.motion.calibration.comparison import Change, change_within, compare, is_long_enough
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, change_lines, lines_of, verdict
 from sensorgraph.diagnosis.motion.calibration.effects import effects_of

@@ -12,7 +12,7 @@ from scan_samples import drive
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.diagnosis.engine.ledger import Verdict
+from sensorgraph.diagnosis.engine.verdict import Verdict
 from sensorgraph.diagnosis.ledger import families_of
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.unnamed import UNNAMED, Checked, Doubt, Unnamed, titles

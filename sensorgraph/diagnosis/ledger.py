@@ -7,16 +7,8 @@ import re
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import replace
 
-from sensorgraph.diagnosis.engine.ledger import (
-    Competitor,
-    DecidedBy,
-    Entry,
-    Facts,
-    Ledger,
-    Objection,
-    Verdict,
-    judge,
-)
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
 from sensorgraph.diagnosis.engine.why import check_known
 from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.selection import FAMILIES_OF

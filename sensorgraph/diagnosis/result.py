@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from sensorgraph.diagnosis.engine.ledger import Entry, Objection
+from sensorgraph.diagnosis.engine.ledger import Entry
+from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Floats

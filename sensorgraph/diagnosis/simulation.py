@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.ledger import Objection
+from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
+import numpy as np
+
 H = TypeVar("H")
 
 
@@ -63,3 +65,14 @@ def remove_superfluous(channel: EvidenceChannel[H], model: list[H], *, threshold
             return
         del model[weakest]
         channel.removed(model)
+
+
+def occam_factor(n_parameters: int, n_data: int) -> float:
+    """Return the complexity penalty [nats] of free parameters in a fit of `n_data` measurements.
+
+        price = ½ k log n
+
+    It is the Occam factor of a Gaussian prior that holds as much information on the k parameters as one of the n measurements
+    (Schwarz 1978; Kass and Wasserman 1995, "A reference Bayesian test for nested hypotheses").
+    """
+    return 0.5 * n_parameters * float(np.log(max(n_data, 1)))

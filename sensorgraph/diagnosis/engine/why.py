@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 
-from sensorgraph.diagnosis.engine.ledger import DecidedBy, Entry, Ledger, Verdict, as_name, nats
+from sensorgraph.diagnosis.engine.ledger import Entry, Ledger, as_name, nats
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Verdict
 from sensorgraph.errors import SensorgraphError
 
 MAX_FACTOR = 100.0

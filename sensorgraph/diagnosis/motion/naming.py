@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.ledger import Objection
+from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.result import ChannelResult, Unknown, without_close_calls
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.price import occam_factor
+from sensorgraph.diagnosis.engine.selection import occam_factor
 from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.scan.normal_equations import solve_bounded
 from sensorgraph.effects import Effect

@@ -8,15 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from sensorgraph.diagnosis.engine.ledger import (
-    OBSERVABLE_SIZE,
-    SURELY,
-    Competitor,
-    Entry,
-    Facts,
-    Objection,
-    Verdict,
-)
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
+from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE, SURELY, Facts, Objection, Verdict
 from sensorgraph.diagnosis.ledger import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.regression import Fit, Term

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
+from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.next_run.design import MAX_DESCRIBED, motion_samples
 from sensorgraph.diagnosis.next_run.drives import DrivableSpace, MotionKind, candidate_motions
 from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS, OpenQuestion, planned_scans

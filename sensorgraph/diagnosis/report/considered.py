@@ -8,7 +8,8 @@ from html import escape
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.ledger import DecidedBy, Entry, Ledger, Verdict
+from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Verdict
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.ledger import not_observable
 from sensorgraph.diagnosis.report.page_shell import without_breaks

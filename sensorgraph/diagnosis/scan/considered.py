@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
-from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Facts, Objection
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
+from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.ledger import effect_entry
 from sensorgraph.diagnosis.report.quantities import minus
 from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change

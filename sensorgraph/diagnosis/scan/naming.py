@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sensorgraph.diagnosis.engine.ledger import SURELY, Objection
+from sensorgraph.diagnosis.engine.verdict import SURELY, Objection
 from sensorgraph.diagnosis.report.quantities import brief
 from sensorgraph.diagnosis.result import (
     ChannelResult,

@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.ledger import OBSERVABLE_SIZE
+from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.normal_equations import System, boxed
 from sensorgraph.diagnosis.scan.scan_data import ScanData

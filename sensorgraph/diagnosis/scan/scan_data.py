@@ -15,7 +15,7 @@ from logs.motion import Motion, motion_of
 from logs.run import Pairing, RangeSensor, Run, pair
 from planners.arena import Arena
 from planners.clearance import Barriers
-from sensorgraph.diagnosis.engine.price import occam_factor
+from sensorgraph.diagnosis.engine.selection import occam_factor
 from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.intake import described_sensor, positive_tolerances, thinned_out, velocities
 from sensorgraph.diagnosis.scan.settings import SCAN

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.ledger import Entry, Facts, Ledger
+from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
+from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.ledger import effect_entry, least_size, ledger_of
 from sensorgraph.diagnosis.motion.calibration.comparison import (
     QUANTITIES,
