@@ -93,10 +93,11 @@ def _row(entry: Entry) -> str:
     cost = entry.consequence.removeprefix(SHORT)
     said = without_breaks(best) + (f"<br><small>cost: {without_breaks(cost)}</small>" if cost else "")
     verdict = f"<b>{entry.verdict.value}</b>: " if entry.verdict is not Verdict.SILENT else ""
+    ruled_out = f"; {without_breaks(entry.materiality)} is ruled out" if entry.is_ruled_out else ""
     return (
         f"<tr class='{entry.verdict.value}'><td>{escape(entry.title)}<br><code>{escape(entry.name)}</code></td>"
         f"<td>{said}</td><td class='n'>{_number(entry.facts.evidence)}</td><td class='n'>{_number(entry.price)}</td>"
-        f"<td>{verdict}{without_breaks(entry.reason)}</td></tr>"
+        f"<td>{verdict}{without_breaks(entry.reason)}{ruled_out}</td></tr>"
     )
 
 
