@@ -155,8 +155,10 @@ class EffectSearch:
         return worth(self.data, self._chosen.model[-1], self._chosen, self.current)
 
     def added(self, model: list[Amendment]) -> None:
-        """Take the fit with the effect."""
+        """Take the fit with the effect; the one without it is that which it was compared with."""
+        rest = self.current
         self._take(self._chosen, model)
+        self._rests[len(model) - 1] = rest
 
     def removed(self, model: list[Amendment]) -> None:
         """Take the fit without the effect, which is not tried again."""
