@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plain_kernels import plain_corner_sums
 
-from sensorgraph.diagnosis.scan.corner_sums import corner_sums
+from sensorgraph.diagnosis.scan.corner_sums import SHARE_OF_PLACE, Corners, corner_sums
 from sensorgraph.diagnosis.scan.normal_equations import boxed
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects.proposals import best_run
@@ -50,3 +50,24 @@ def test_best_run_is_the_best_of_all_runs() -> None:
         plain = max(row[a : b + 1].sum() for a in range(12) for b in range(a, 12))
         assert s == pytest.approx(plain)
         assert row[i : j + 1].sum() == pytest.approx(plain)
+
+
+def test_corners_of_an_obstacle_shift_together_and_others_alone() -> None:
+    ring = np.array([(0.0, 0.0), (1.0, 0.0), (1.2, 0.7), (0.5, 1.1), (-0.2, 0.7)])
+    rings = [10 * ring - 4, ring, ring + 2.5]
+    walls = np.concatenate([np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in rings])
+    obstacle = np.repeat([2, 0, 1], len(ring))
+    corners = Corners.of(walls).of_obstacles(obstacle, 2)
+    owner = np.zeros(corners.count)
+    owner[corners.ends[:, 0]] = obstacle
+    rng = np.random.default_rng(6)
+    shifts = np.array([corners.shifts(u) for u in rng.normal(size=(20_000, 2 * corners.n_unknowns))])
+    together = (owner[:, None] == owner) & (owner < 2)
+    expected = np.where(np.eye(corners.count) > 0, 1.0, np.where(together, SHARE_OF_PLACE, 0.0))
+    found = np.cov(shifts[:, ::2].T)
+    np.testing.assert_allclose(found, expected, atol=0.03)
+    np.testing.assert_allclose(np.cov(shifts[:, 1::2].T), expected, atol=0.03)
+    some = rng.normal(size=(2 * corners.count, 1))
+    np.testing.assert_allclose(corners.shifts(corners.unknowns(some)[:, 0]), some[:, 0], atol=1e-12)
+    for u in np.eye(2 * corners.n_unknowns):
+        assert corners.of_unknowns(some[:, 0]) @ u == pytest.approx(some[:, 0] @ corners.shifts(u))

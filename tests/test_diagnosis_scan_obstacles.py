@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import polygon_arena
+from scan_samples import drive
 
 from logs.run import Run
 from planners.arena import Arena, wrap
@@ -99,6 +100,27 @@ def test_a_move_across_the_view_gets_its_name_and_an_error_from_the_silhouette(h
     assert named.name == "moved_obstacle"
     assert 0.002 < named.stderr["dy"] < 0.02
     assert abs(named["dy"] - 0.04) < 3 * named.stderr["dy"]
+
+
+@pytest.mark.parametrize(("dx", "dy", "names"), [(0.013, 0.005, []), (0.045, 0.02, ["moved_obstacle"])])
+def test_the_tolerance_of_the_map_holds_for_an_obstacle_as_a_whole(
+    dx: float, dy: float, names: list[str]
+) -> None:
+    """A round pillar has many corners; one error of its place shifts all of them."""
+    angle = 2 * np.pi * np.arange(24) / 24
+    ring = [(3.0 + 0.3 * np.cos(a), 2.3 + 0.3 * np.sin(a)) for a in angle]
+    arena = polygon_arena([(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (0.0, 5.0)], ring)
+    arena = replace(
+        arena, names=tuple(f"{f}/edge_{i}" for f, n in (("room", 4), ("pillar", 24)) for i in range(n))
+    )
+    robot = parse_robot("{sensor: {n_rays: 61}, tolerances: {map: 0.006}}")
+    there = EFFECTS["moved_obstacle"](dx=dx, dy=dy).at("pillar", np.array([3.0, 2.3]))
+    finding = diagnose(drive(arena, (there,), n=400), arena, robot, plan_next=False)
+    assert [a.name for a in finding.effects] == names and finding.unknown is None
+    for named in finding.effects:
+        assert (
+            abs(named["dx"] - dx) < 3 * named.stderr["dx"] and abs(named["dy"] - dy) < 3 * named.stderr["dy"]
+        )
 
 
 def test_a_move_is_looked_for_where_most_rays_are_strange() -> None:

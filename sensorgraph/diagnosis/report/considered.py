@@ -14,7 +14,7 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.ledger import not_observable
 from sensorgraph.diagnosis.report.page_shell import without_breaks
 from sensorgraph.diagnosis.report.quantities import minus
-from sensorgraph.diagnosis.scan.nuisance import prior_widths
+from sensorgraph.diagnosis.scan.nuisance import corners_of, prior_widths
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
@@ -156,6 +156,6 @@ def _taken(effect: Effect, finding: Finding) -> Amendment | None:
     if finding.explained is None:
         return None
     g = finding.explained.final.state.g
-    corners = g[len(Nuisance) :]
+    corners = corners_of(finding.data).shifts(g[len(Nuisance) :])
     values = g[list(effect.nuisances)] if effect.nuisances else [np.abs(corners).max(initial=0.0)]
     return effect(**dict(zip(effect.steps, map(float, values), strict=True)))

@@ -7,6 +7,11 @@ corner shifts, by the pose of a scan and by the shared unknowns. W holds the wei
 
 A corner shift changes a reading only by its component along the wall's normal n: V = ends nᵀ for each of the two ends.
 
+An obstacle that was measured at a wrong place has shifted as a whole. The unknowns u, with the prior N(0, tau²), are therefore one pair
+for each corner and one for each obstacle:
+
+    shift of a corner = sqrt(1 - share) u of the corner + sqrt(share) u of its obstacle.
+
 A small pose or map error moves a corner that two rays pass, such as a table leg, in front of one of them. A ray meets a corner at
 the lateral distance `aside` and the range r with the probability
 
@@ -17,7 +22,7 @@ The sums, and the loop over scans and corners, are compiled.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, erfc, hypot, pi, sqrt
 
 import numpy as np
@@ -26,6 +31,8 @@ from planners.kernel import inner_kernel, kernel
 from planners.types import SAME_PLACE
 from sensorgraph.types import Bools, Floats, Ints
 
+SHARE_OF_PLACE = 0.5
+"""Share of the prior variance of a corner that all corners of its obstacle have in common: its place and its shape are equally uncertain."""
 Sums = tuple[Floats, Floats, Floats, Floats]
 SQRT_2, TURN = sqrt(2.0), 2 * pi
 
@@ -138,6 +145,57 @@ class Corners:
     count: int
     rest: int = -1
     """Index shared by all fixed corners; -1 if every corner may shift."""
+    obstacle: Ints | None = None
+    """(count,) Index of the obstacle of each corner; `n_obstacles` for a corner of the outline. None: there are no obstacles."""
+    n_obstacles: int = 0
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of pairs of unknowns: of the corners, then of the obstacles."""
+        return self.count + self.n_obstacles
+
+    def of_obstacles(self, obstacle: Ints, n_obstacles: int) -> Corners:
+        """Return the corners with their obstacles.
+
+        Parameters
+        ----------
+        obstacle : (n_walls,) Index of the obstacle of each wall; `n_obstacles` for the outline.
+        """
+        owner = np.full(self.count, n_obstacles)
+        owner[self.ends] = obstacle[:, None]
+        return replace(self, obstacle=owner, n_obstacles=n_obstacles)
+
+    @property
+    def _shares(self) -> tuple[Floats, float]:
+        """Factor of the unknown of each corner (count, 1), and of those of the obstacles."""
+        alone = np.where(self.obstacle == self.n_obstacles, 1.0, np.sqrt(1 - SHARE_OF_PLACE))[:, None]
+        return alone, float(np.sqrt(SHARE_OF_PLACE))
+
+    def shifts(self, unknowns: Floats) -> Floats:
+        """Return the shifts (2 count,) [m] of the corners for unknowns (2 n_unknowns,) [m]."""
+        if self.obstacle is None:
+            return unknowns
+        alone, common = self._shares
+        pairs = unknowns.reshape(-1, 2)
+        together = np.vstack([pairs[self.count :], np.zeros((1, 2))])
+        return np.asarray((alone * pairs[: self.count] + common * together[self.obstacle]).ravel())
+
+    def of_unknowns(self, of_shifts: Floats) -> Floats:
+        """Return derivatives (..., 2 n_unknowns) by the unknowns, from those (..., 2 count) by the shifts."""
+        if self.obstacle is None:
+            return of_shifts
+        alone, common = self._shares
+        pairs = of_shifts.reshape(*of_shifts.shape[:-1], self.count, 2)
+        member = np.equal.outer(np.arange(self.n_obstacles), self.obstacle).astype(np.float64)
+        both = np.concatenate([alone * pairs, common * (member @ pairs)], axis=-2)
+        return np.asarray(both.reshape(*of_shifts.shape[:-1], -1))
+
+    def unknowns(self, shifts: Floats) -> Floats:
+        """Return unknowns (2 n_unknowns, k) [m] that have the shifts (2 count, k): those of the corners alone."""
+        if self.obstacle is None:
+            return shifts
+        alone = np.repeat(self._shares[0], 2, axis=0)
+        return np.concatenate([shifts / alone, np.zeros((2 * self.n_obstacles, shifts.shape[1]))])
 
     @classmethod
     def of(cls, walls: Floats, met: Bools | None = None) -> Corners:

@@ -105,14 +105,14 @@ def bare_cast(scene: Scene) -> Beams:
 def start_state(data: ScanData, noise_bounds: NoiseBounds) -> State:
     """Return nuisances at zero, and the poses at which the casts are made."""
     corners = corners_of(data)
-    state = State(g=np.zeros(len(Nuisance) + 2 * corners.count), delta=data.pose_start)
+    state = State(g=np.zeros(len(Nuisance) + 2 * corners.n_unknowns), delta=data.pose_start)
     state.noise = state.noise.within(noise_bounds)
     return state
 
 
 def locked(data: ScanData, model: Sequence[Amendment], corners: Corners) -> Bools:
     """Return which nuisances are held at 0: those of effects in the model, the mount of a bare laser, fixed corners."""
-    out = np.zeros(len(Nuisance) + 2 * corners.count, dtype=np.bool_)
+    out = np.zeros(len(Nuisance) + 2 * corners.n_unknowns, dtype=np.bool_)
     whole = [a for a in model if a.effect.place is not None or not a.place]  # not on one of several sensors
     held = [nuisance for a in whole for nuisance in a.effect.nuisances]
     if data.laser_frame or data.from_scans:

@@ -84,9 +84,9 @@ class Solver:
         if data.posed is not None:
             self.laid += np.matmul(data.posed[:, None, :], jacobian.pose)[:, 0]
         self.tau = np.concatenate(
-            [prior_widths(data.tolerances), np.full(2 * corners.count, data.tolerances.map)]
+            [prior_widths(data.tolerances), np.full(2 * corners.n_unknowns, data.tolerances.map)]
         )
-        self.locked = locked  # (8 + 2 n_corners,)
+        self.locked = locked  # (8 + 2 n,) of the nuisances, corners and obstacles
         self.rows = np.concatenate([jacobian.pose, jacobian.nuisances, effects], axis=1)
         self.y = self._residuals(data)
 
@@ -139,8 +139,8 @@ class Solver:
         return np.asarray(out - self.laid)
 
     def _by_corners(self, g: Floats) -> Floats:
-        """Return the contribution of corner shifts (2 n_corners,) [m] to the readings, (n_scans, n_rays)."""
-        shifts = g.reshape(-1, 2)[self.corner_ends]  # (n_walls, 2 ends, 2)
+        """Return the contribution of the unknowns (2 n,) [m] of corners and obstacles to the readings, (n_scans, n_rays)."""
+        shifts = self.corners.shifts(g).reshape(-1, 2)[self.corner_ends]  # (n_walls, 2 ends, 2)
         first, last = np.matmul(shifts, self.normals[:, :, None])[..., 0].T
         return np.asarray(self.ends[0] * first[self.wall] + self.ends[1] * last[self.wall])
 
@@ -171,6 +171,8 @@ class Solver:
         cv, gv, vv, rv = corner_sums(
             w, self.rows, self.ends, self.wall, y, self.normals, self.corner_ends, self.corners.count
         )  # fmt: skip
+        cv, gv, vv, rv = (self.corners.of_unknowns(part) for part in (cv, gv, vv, rv))
+        vv = self.corners.of_unknowns(vv.T)
         c = np.concatenate([c[..., :k], cv, c[..., k:]], axis=2)
         top = np.concatenate([g[:k, :k], gv[:k], g[:k, k:]], axis=1)
         middle = np.concatenate([gv[:k].T, vv, gv[k:].T], axis=1)

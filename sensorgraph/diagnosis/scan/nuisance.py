@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from planners.arena import Arena
 from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -21,6 +22,7 @@ from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.sweep_wobble import wobble_of_readings
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.places import obstacles
 from sensorgraph.effects.range_bias import RANGE_BIAS
 from sensorgraph.effects.range_drift import RANGE_DRIFT
 from sensorgraph.effects.range_scale import RANGE_SCALE
@@ -58,10 +60,21 @@ def effects_with_nuisances() -> list[Effect]:
 
 def corners_of(data: ScanData) -> Corners:
     """Return the corners of the map that may shift; an empty set if there are too many."""
-    corners = Corners.of(data.arena.walls) if data.corners is None else data.corners
+    corners = (
+        data.kept(b"corners of obstacles", lambda: _of_arena(data.arena))
+        if data.corners is None
+        else data.corners
+    )
     if corners.count > SETTINGS.max_corners:
         return Corners(ends=corners.ends * 0, count=0)
     return corners
+
+
+def _of_arena(arena: Arena) -> Corners:
+    """Return the corners of a drawn arena, with their obstacles."""
+    index = {name: k for k, name in enumerate(obstacles(arena))}
+    of_walls = [index.get(name.rsplit("/", 1)[0], len(index)) for name in arena.names]
+    return Corners.of(arena.walls).of_obstacles(np.array(of_walls, dtype=np.intp), len(index))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -255,7 +268,7 @@ class State:
     """Values of the nuisances."""
 
     g: Floats
-    """(8 + 2 n_corners,) one value for each Nuisance, then x and y of each corner."""
+    """(8 + 2 n,) one value for each Nuisance, then x and y of the unknown of each corner and each obstacle."""
     delta: Floats
     """(n_scans, 3) [m, m, rad] pose errors."""
     noise: BeamNoise = field(default_factory=BeamNoise)
@@ -272,7 +285,7 @@ class State:
 
     @property
     def corners(self) -> Floats:
-        """(2 n_corners,) [m] shifts of the corners."""
+        """(2 n,) [m] unknowns of the corners and obstacles (see `corner_sums`)."""
         return self.g[len(Nuisance) :]
 
     @property

@@ -156,7 +156,7 @@ def _of_the_map(data: ScanData, fitted: Fitted, of_corners: Floats) -> list[Hypo
 
     Parameters
     ----------
-    of_corners : (n, 2 n_corners) Unit vectors of the corners among the unknowns.
+    of_corners : (n, 2 n_unknowns) Unit vectors of the corners and obstacles among the unknowns.
     """
     corners = corners_of(data)
     if corners.count == 0:
@@ -177,7 +177,7 @@ def _of_the_map(data: ScanData, fitted: Fitted, of_corners: Floats) -> list[Hypo
                 continue
             if found.place and corners.rest >= 0 and found.shift[corners.rest].any():
                 continue  # few rays meet it, and it has no unknown
-            directions = of_corners @ found.shift.reshape(of_corners.shape[1], -1)
+            directions = of_corners @ corners.unknowns(found.shift.reshape(2 * corners.count, -1))
             at_zero = effect(**dict.fromkeys(effect.steps, 0.0))
             if found.place:
                 at_zero = at_zero.at(found.place, found.xy)
