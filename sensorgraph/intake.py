@@ -14,7 +14,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.described import MOUNT
-from sensorgraph.world.overlap import OVERLAP, contradiction
+from sensorgraph.world.overlap import MAX_CONTRADICTION, contradiction
 from sensorgraph.world.raycast import laser_poses
 from sensorgraph.world.sweep import FROM_ROBOT
 
@@ -62,7 +62,7 @@ def check_jumps(
     if jumps is None:
         return
     share = _contradiction(run, pairing, jumps.after - len(last[0]))
-    if not share > OVERLAP.contradiction:
+    if not share > MAX_CONTRADICTION:
         return
     raise SensorgraphError(
         f"{name or run.meta.get('source', 'the run')}: {jumps}, and {100 * share:.0f} % of the points lie where scans beyond "

@@ -56,7 +56,7 @@ class OtherProcess(Generic[Result]):
     ) -> None:
         if self._process is not None:
             self._process.terminate()
-            self._process.join(2 * termination.SETTINGS.cleanup)
+            self._process.join(2 * termination.CLEANUP)
             self._process.kill()
             self._process.join()
 

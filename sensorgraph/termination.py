@@ -16,28 +16,18 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from types import FrameType
 from typing import Any
 
 INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
 """Exit codes after a signal, as of a shell."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TerminationSettings:
-    """Times after SIGTERM; systemd and Docker allow 10 s or more."""
-
-    reaction: float = 2.0
-    """[s] until the main thread must have reacted, which a long compiled loop prevents."""
-    cleanup: float = 3.5
-    """[s] until it must have cleaned up and ended."""
-    finish: float = 8.0
-    """[s] the same if it completes a recording."""
-
-
-SETTINGS = TerminationSettings()
+REACTION = 2.0
+"""[s] until the main thread must have reacted, which a long compiled loop prevents; systemd and Docker allow 10 s in all, or more."""
+CLEANUP = 3.5
+"""[s] until it must have cleaned up and ended."""
+FINISH = 8.0
+"""[s] the same if it completes a recording."""
 
 
 class Terminated(BaseException):
@@ -49,12 +39,12 @@ class _Watch:
 
     def __init__(self, line: str) -> None:
         self.line = line
-        self.allowed = SETTINGS.reaction
+        self.allowed = REACTION
 
     def handle(self, number: int, frame: FrameType | None) -> None:
         """Raise `Terminated` in the main thread; ignore the signal from now on."""
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        self.allowed = max(self.allowed, SETTINGS.cleanup)
+        self.allowed = max(self.allowed, CLEANUP)
         raise Terminated
 
     def watch(self, pipe: int) -> None:
@@ -103,7 +93,7 @@ def _report_unraisable(report: Callable[[Any], Any], args: Any) -> None:
 def allow_to_finish() -> None:
     """Give the main thread more time, because it completes a recording and then ends."""
     if _watch is not None:
-        _watch.allowed = SETTINGS.finish
+        _watch.allowed = FINISH
 
 
 def _end_children() -> None:

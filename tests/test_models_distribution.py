@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.likelihood import information_share, log_density
-from sensorgraph.models.residual_memory import MEMORY, ResidualMemory
+from sensorgraph.models.residual_memory import LIFETIMES, SIZES, ResidualMemory
 from sensorgraph.types import Floats
 
 
@@ -70,12 +70,12 @@ def test_probability_of_all_readings_is_one() -> None:
 
 def memory_of(noise: dict[float, float]) -> ResidualMemory:
     """A memory whose squares of some sizes [m] contribute some shares of the variance."""
-    shape = len(MEMORY.sizes), len(MEMORY.lifetimes) + 1
+    shape = len(SIZES), len(LIFETIMES) + 1
     shares = np.zeros(shape)
     for size, share in noise.items():
-        shares[MEMORY.sizes.index(size), 0] = share
+        shares[SIZES.index(size), 0] = share
     return ResidualMemory(
-        sizes=np.array(MEMORY.sizes), lifetimes=np.array(MEMORY.lifetimes), events=np.zeros(shape), noise=shares
+        sizes=np.array(SIZES), lifetimes=np.array(LIFETIMES), events=np.zeros(shape), noise=shares
     )  # fmt: skip
 
 

@@ -19,22 +19,14 @@ from sensorgraph.models.place_noise import numbers_at, squares
 from sensorgraph.models.stored_numbers import check_range, check_shape
 from sensorgraph.types import Bools, Floats, Ints
 
-
-@dataclass(frozen=True, kw_only=True)
-class MemorySettings:
-    """Places and times whose residuals may be correlated."""
-
-    sizes: tuple[float, ...] = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-    """[m] Sides of the squares, from range noise to a piece of furniture; each twice the one before."""
-    lifetimes: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
-    """[s] Lifetimes of the squares' numbers, one per decade; an unlimited lifetime is added."""
-    revisit_time: float = 30.0
-    """[s] Minimum time between two readings of a place for the second to count as a second look at it."""
-    min_pairs: float = 1000.0
-    """Number of uncorrelated pairs added as a prior on each share; it suppresses chance correlations of few pairs."""
-
-
-MEMORY = MemorySettings()
+SIZES = (0.0125, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+"""[m] Sides of the squares, from range noise to a piece of furniture; each twice the one before."""
+LIFETIMES = (1.0, 10.0, 100.0, 1000.0)
+"""[s] Lifetimes of the squares' numbers, one per decade; an unlimited lifetime is added."""
+REVISIT_TIME = 30.0
+"""[s] Minimum time between two readings of a place for the second to count as a second look at it."""
+MIN_PAIRS = 1000.0
+"""Number of uncorrelated pairs added as a prior on each share; it suppresses chance correlations of few pairs."""
 GAPS = (0.01, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """[s] Class limits of the time between the readings of a pair; the first class holds pairs of one scan.
 
@@ -80,7 +72,7 @@ class ResidualMemory:
         n_known = np.maximum(known.sum(axis=0), 1)
         z = residual - np.where(known, residual, 0.0).sum(axis=0) / n_known
         z = z / np.maximum(np.sqrt((np.where(known, z, 0.0) ** 2).sum(axis=0) / n_known), 1e-9)
-        sizes, lifetimes = np.array(MEMORY.sizes), np.array(MEMORY.lifetimes)
+        sizes, lifetimes = np.array(SIZES), np.array(LIFETIMES)
         pairs = _Pairs.of(places, stamps, sizes, np.isfinite(event))
         p, e, z = (values.ravel() for values in (chance, event, z))
 
@@ -187,7 +179,7 @@ class _Pairs:
         for a, b, is_again in found:
             use = good[a] & good[b] & (key[a, 2] == key[b, 2])
             if is_again:
-                use &= (key[a] == key[b]).all(axis=1) & (time[b] - time[a] > MEMORY.revisit_time)
+                use &= (key[a] == key[b]).all(axis=1) & (time[b] - time[a] > REVISIT_TIME)
             some = np.flatnonzero(use)
             some = some[:: len(some) // MAX_PAIRS + 1]
             parts.append((a[some], b[some]))
@@ -224,7 +216,7 @@ class _Pairs:
                 columns.append(summed(together * np.maximum(1.0 - gap / lifetime, 0.0)) * weight)
         from scipy.optimize import nnls  # imported here, since it takes 0.2 s
 
-        ridge = np.sqrt(MEMORY.min_pairs * float(full.mean() if len(full) else 1.0)) * np.eye(len(columns))
+        ridge = np.sqrt(MIN_PAIRS * float(full.mean() if len(full) else 1.0)) * np.eye(len(columns))
         rows = np.vstack([np.column_stack(columns), ridge])
         target = np.r_[summed(found) * weight, np.zeros(len(columns))]
         shares = np.asarray(nnls(rows, target)[0])

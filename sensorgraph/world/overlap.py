@@ -1,12 +1,10 @@
 """Decide whether scans contradict each other where they overlap: one saw through what the other measured.
 
 A wrong pose puts surfaces into space that another scan has seen to be free. Right poses do not, however far apart the
-scans were taken; a few people and doors do it for a few points.
+scans were taken; a few people and doors do it for a few points. The limits are conventions, not fitted to data.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,35 +12,27 @@ from logs.run import RangeSensor
 from logs.transforms import compose, invert, wrap
 from sensorgraph.types import Bools, Floats, Ints
 
-
-@dataclass(frozen=True, kw_only=True)
-class OverlapSettings:
-    """Limits of the comparison of two scans; conventions, not fitted to data."""
-
-    place: float = 0.3
-    """[m] Distance in front of a measured surface that is not regarded as free."""
-    turn: float = 0.02
-    """[rad] Heading error of a pose; it adds to this distance in proportion to the range."""
-    reach: float = 10.0
-    """[m] Maximum range of points that are compared."""
-    rays: int = 2
-    """Number of rays to each side that must also have seen through a point."""
-    min_points: int = 20
-    """Minimum number of common points of two scans that overlap."""
-    pairs: int = 3
-    """Number of scans with which a scan is compared: the nearest that overlap."""
-    nearest: int = 12
-    """Number of nearest scans that are tried."""
-    n_scans: int = 300
-    """Number of scans that are compared, for all parts of a run together."""
-    group: int = 10
-    """Minimum number of scans of a part that is judged on its own; shorter parts are judged together."""
-    contradiction: float = 0.16
-    """Share of points seen through above which poses are wrong; median over pairs of scans. Parts of four corrected public
-    logs have less than 0.15 (in a crowd 0.28), and most of them 0.25 to 0.9 after a shift of 1.2 to 3 m."""
-
-
-OVERLAP = OverlapSettings()
+PLACE = 0.3
+"""[m] Distance in front of a measured surface that is not regarded as free."""
+TURN = 0.02
+"""[rad] Heading error of a pose; it adds to this distance in proportion to the range."""
+REACH = 10.0
+"""[m] Maximum range of points that are compared."""
+RAYS = 2
+"""Number of rays to each side that must also have seen through a point."""
+MIN_POINTS = 20
+"""Minimum number of common points of two scans that overlap."""
+PAIRS = 3
+"""Number of scans with which a scan is compared: the nearest that overlap."""
+NEAREST = 12
+"""Number of nearest scans that are tried."""
+N_SCANS = 300
+"""Number of scans that are compared, for all parts of a run together."""
+GROUP = 10
+"""Minimum number of scans of a part that is judged on its own; shorter parts are judged together."""
+MAX_CONTRADICTION = 0.16
+"""Share of points seen through above which poses are wrong; median over pairs of scans. Parts of four corrected public
+logs have less than 0.15 (in a crowd 0.28), and most of them 0.25 to 0.9 after a shift of 1.2 to 3 m."""
 
 
 def contradiction(ranges: Floats, poses: Floats, part: Ints, sensor: RangeSensor) -> float:
@@ -55,11 +45,10 @@ def contradiction(ranges: Floats, poses: Floats, part: Ints, sensor: RangeSensor
     part : (n,) number of the part of the run, between two jumps. Scans are compared with those of other parts.
     sensor : One laser; its rays have one origin.
     """
-    s = OVERLAP
     sizes = np.bincount(part)
-    group = np.where(sizes[part] >= s.group, part, -1)
+    group = np.where(sizes[part] >= GROUP, part, -1)
     numbers = np.unique(group)
-    each = max(s.n_scans // len(numbers), s.pairs)
+    each = max(N_SCANS // len(numbers), PAIRS)
     worst = [np.nan]
     for number in numbers:
         members = np.flatnonzero(group == number)
@@ -77,12 +66,12 @@ def _shares(i: int, ranges: Floats, poses: Floats, part: Ints, sensor: RangeSens
     others = np.flatnonzero(part != part[i])
     distance = np.hypot(*(poses[others, :2] - poses[i, :2]).T)
     shares = list[float]()
-    for j in others[np.argsort(distance)[: OVERLAP.nearest]]:
+    for j in others[np.argsort(distance)[:NEAREST]]:
         there = _share(ranges[i], ranges[j], compose(invert(poses[j]), poses[i]), sensor)
         back = _share(ranges[j], ranges[i], compose(invert(poses[i]), poses[j]), sensor)
         if np.isfinite(there + back):
             shares.append((there + back) / 2)
-        if len(shares) == OVERLAP.pairs:
+        if len(shares) == PAIRS:
             break
     return shares
 
@@ -90,7 +79,7 @@ def _shares(i: int, ranges: Floats, poses: Floats, part: Ints, sensor: RangeSens
 def _share(own: Floats, other: Floats, relative: Floats, sensor: RangeSensor) -> float:
     """Return the share of the common points of two scans that the other one saw through; nan if they do not overlap."""
     common, through = seen_by(own, other, relative, sensor)
-    return float(through.sum() / common.sum()) if common.sum() >= OVERLAP.min_points else float("nan")
+    return float(through.sum() / common.sum()) if common.sum() >= MIN_POINTS else float("nan")
 
 
 def seen_by(own: Floats, other: Floats, relative: Floats, sensor: RangeSensor) -> tuple[Bools, Bools]:
@@ -101,9 +90,9 @@ def seen_by(own: Floats, other: Floats, relative: Floats, sensor: RangeSensor) -
     own, other : (n_rays,) [m]
     relative : (3,) [m, m, rad] pose of the laser in the frame of the other scan.
     """
-    s, bearings = OVERLAP, sensor.bearings
+    bearings = sensor.bearings
     with np.errstate(invalid="ignore"):
-        is_near = np.isfinite(own) & (own > 0) & (own < s.reach)
+        is_near = np.isfinite(own) & (own > 0) & (own < REACH)
         free = np.where(other > 0, other, 0.0)  # nan, and -inf: closer than the minimum range
     r = np.where(is_near, own, 0.0)
     ends = np.stack([r * np.cos(bearings), r * np.sin(bearings), np.zeros_like(r)], axis=1)
@@ -113,8 +102,8 @@ def seen_by(own: Floats, other: Floats, relative: Floats, sensor: RangeSensor) -
     sorted_bearings, free = bearings[order], free[order]
     turned = sorted_bearings[0] + wrap(bearing - sorted_bearings[0]) % (2 * np.pi)
     at = np.searchsorted(sorted_bearings, turned)
-    beside = [free[np.clip(at + k, 0, len(order) - 1)] for k in range(-s.rays, s.rays)]
+    beside = [free[np.clip(at + k, 0, len(order) - 1)] for k in range(-RAYS, RAYS)]
     least = np.min(beside, axis=0)
-    margin = s.place + s.turn * far
-    is_inside = is_near & (at > 0) & (at < len(order)) & (far < s.reach)
+    margin = PLACE + TURN * far
+    is_inside = is_near & (at > 0) & (at < len(order)) & (far < REACH)
     return is_inside & (far < least + margin), is_inside & (far < least - margin)
