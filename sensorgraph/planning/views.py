@@ -11,7 +11,7 @@ from planners.methods.overview import N_CANDIDATES
 from planners.reach import Reach
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.survey import LaserSurvey, survey_of
-from sensorgraph.types import Floats, Ints, Progress
+from sensorgraph.types import Floats, Ints
 
 CANDIDATES_PER_VIEW = 5
 """Minimum number of candidate poses for each view."""
@@ -25,7 +25,6 @@ def views_within(
     sensor: RangeSensor,
     graph: Sensorgraph | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> Floats:
     """Choose n poses (n, 3) [m, m, rad] of base_link that the robot can reach, in order of decreasing gain.
 
@@ -40,12 +39,10 @@ def views_within(
     pick = rng.integers(len(nodes[0]), size=max(N_CANDIDATES, CANDIDATES_PER_VIEW * n))
     places = reach.nodes((nodes[0][pick], nodes[1][pick]))
     candidates = np.column_stack([places, rng.uniform(-np.pi, np.pi, len(places))])
-    return candidates[choose_views(candidates, survey_of(arena, sensor, graph), n, progress=progress)]
+    return candidates[choose_views(candidates, survey_of(arena, sensor, graph), n)]
 
 
-def choose_views(
-    candidates: Floats, survey: LaserSurvey, n: int, *, progress: Progress | None = None
-) -> Ints:
+def choose_views(candidates: Floats, survey: LaserSurvey, n: int) -> Ints:
     """Return the indices of n of the candidates (n_candidates, 3), in order of decreasing gain.
 
     The gain of a pose can only decrease when others are chosen (it is submodular). Earlier gains are therefore
@@ -60,6 +57,4 @@ def choose_views(
         survey.mark(candidates[[i]])
         bound[i] = -np.inf
         chosen.append(i)
-        if progress is not None:
-            progress(len(chosen), n)
     return np.array(chosen, dtype=np.intp)

@@ -28,6 +28,8 @@ WHITE, ORANGE = (235, 235, 240), (255, 150, 40)
 WALL, DIM, BACKGROUND = (150, 150, 165), (80, 100, 135), (18, 18, 22)
 """Walls; background objects such as the driven path; the background."""
 
+PATIENCE = 30.0
+"""[s] Time limit for the start of a viewer or a server."""
 SETTLE = 1.5
 """[s] Time after which a viewer without a display has ended; its server answers before."""
 FLUSH = 5.0
@@ -64,12 +66,8 @@ def recorded(path: Path, name: str, layout: rrb.Blueprint) -> Iterator[rr.Record
 
 
 @contextmanager
-def streamed(name: str, layout: rrb.Blueprint, *, patience: float = 30.0) -> Iterator[rr.RecordingStream]:
+def streamed(name: str, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
     """Open rerun's viewer on this machine and yield a recording that it shows at once. The viewer stays open at the end.
-
-    Parameters
-    ----------
-    patience : [s] Time limit for the start of the viewer.
 
     Raises
     ------
@@ -80,7 +78,7 @@ def streamed(name: str, layout: rrb.Blueprint, *, patience: float = 30.0) -> Ite
     viewer = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
-    if _has_started(viewer, [port], patience):
+    if _has_started(viewer, [port]):
         time.sleep(SETTLE)
     if viewer.poll() is not None or not _answers(port):
         _end(viewer)
@@ -124,12 +122,8 @@ def open_viewer(path: Path) -> subprocess.Popen[bytes]:
 
 
 @contextmanager
-def served(path: Path, *, patience: float = 30.0) -> Iterator[str]:
+def served(path: Path) -> Iterator[str]:
     """Serve a file with rerun's web viewer to this machine until the block ends; yield the address to open.
-
-    Parameters
-    ----------
-    patience : [s] Time limit for the start of the server.
 
     Raises
     ------
@@ -143,7 +137,7 @@ def served(path: Path, *, patience: float = 30.0) -> Iterator[str]:
         stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     try:
-        if not _has_started(server, [page, data], patience):
+        if not _has_started(server, [page, data]):
             raise SensorgraphError(f"rerun's web viewer does not start; try: {' '.join(command)}")
         source = quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
         yield f"http://{LOOPBACK}:{page}/?url={source}"
@@ -190,9 +184,9 @@ def _free_ports(count: int) -> list[int]:
         return [int(one.getsockname()[1]) for one in sockets]
 
 
-def _has_started(viewer: subprocess.Popen[bytes], ports: Sequence[int], patience: float) -> bool:
-    """Wait until a viewer answers on all ports; return whether it does so before it ends and before `patience` [s]."""
-    end = time.monotonic() + patience
+def _has_started(viewer: subprocess.Popen[bytes], ports: Sequence[int]) -> bool:
+    """Wait until a viewer answers on all ports; return whether it does so before it ends and in time."""
+    end = time.monotonic() + PATIENCE
     while not all(map(_answers, ports)):
         if viewer.poll() is not None or time.monotonic() > end:
             return False
