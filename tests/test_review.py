@@ -21,10 +21,9 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.show.review import maps
 from sensorgraph.show.review.cells import RayCounts
 from sensorgraph.show.review.contents import RayVerdict, Review, collect
-from sensorgraph.show.review.intensity import intensity_points
 from sensorgraph.show.review.report import report
 from sensorgraph.show.review.review import review
-from sensorgraph.show.review.views import write
+from sensorgraph.show.review.views import intensity_points, write
 from sensorgraph.types import Progress
 from sensorgraph.world.raycast import cast
 

@@ -12,13 +12,16 @@ from pathlib import Path
 from statistics import median
 from types import TracebackType
 
+import numpy as np
+
 from logs.errors import LogError
 from logs.formats.mcap_file import RosFile
 from logs.live.keys import PublishedTopic
 from logs.live.network import LiveMessage, RosNetwork
-from logs.live.window import MessageWindow
-from logs.ros.recording import KEPT_TYPES, RANGE_TYPE, SCAN_TYPE, check_roles
+from logs.ros.interpret import to_run
+from logs.ros.recording import KEPT_TYPES, RANGE_TYPE, SCAN_TYPE, TF_TYPE, Recording, Topic, check_roles
 from logs.run import Run
+from logs.types import ReadOptions
 
 PATIENCE = 10.0
 """[s] default time in which a topic with readings and all selected topics must be announced."""
@@ -34,6 +37,37 @@ POSE_WINDOW, SCAN_WINDOW = 6.0, 2.0
 """[s] of messages kept to estimate the current pose of the robot, and the motion around a scan."""
 LOOK_EVERY = 0.1
 """[s] interval between checks of the router."""
+
+
+class MessageWindow:
+    """Messages of the latest `duration` [s], and all static transforms."""
+
+    def __init__(self, duration: float) -> None:
+        self.duration = duration
+        self._recent: deque[LiveMessage] = deque()
+        self._fixed: dict[str, list[LiveMessage]] = {}
+
+    def add(self, message: LiveMessage) -> None:
+        """Add a message, and forget those that are too old."""
+        name = message.topic.name
+        if message.topic.type == TF_TYPE and name.rstrip("/").endswith("tf_static"):
+            self._fixed.setdefault(name, []).append(message)
+            return
+        self._recent.append(message)
+        while self._recent[0].received_ns < message.received_ns - self.duration * 1e9:
+            self._recent.popleft()
+
+    def run(self, source: str, roles: Mapping[str, str]) -> Run | None:
+        """Return the messages as a run of a source; None if they contain no scan."""
+        recording = Recording(format="mcap")
+        for message in (*(m for kept in self._fixed.values() for m in kept), *self._recent):
+            name, kind = message.topic.name, message.topic.type
+            recording.topics.setdefault(name, Topic(name, kind)).add(message.received_ns, message.payload)
+        try:
+            with np.errstate(all="ignore"):
+                return to_run(recording, source, ReadOptions(topics=roles))
+        except LogError:
+            return None
 
 
 @dataclass

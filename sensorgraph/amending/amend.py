@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 import logs
 from logs.files import atomic_file
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.amending.findings import MeasuredLaser
-from sensorgraph.amending.measured import measure_laser
 from sensorgraph.amending.mjcf import amend_mjcf
 from sensorgraph.amending.nav2 import amend_nav2
 from sensorgraph.amending.robot_yaml import amend_robot
@@ -33,11 +34,16 @@ from sensorgraph.exporting.amcl import (
 )
 from sensorgraph.exporting.nav2 import chosen, map_of
 from sensorgraph.loading import arena_in, load_arena
+from sensorgraph.robust import robust_sigma
 
 MODELS = {"robot": amend_urdf, "sdf": amend_sdf, "mujoco": amend_mjcf, "mujocoinclude": amend_mjcf}
 """Root element -> function of the format."""
 MAX_BYTES = 20_000_000
 """Maximum size of a file."""
+SAME_STEP = 1e-4
+"""[rad] Largest deviation of the angle between neighbouring rays of a laser from its mean."""
+MIN_SCANS = 3
+"""Minimum number of scans from which the rate is measured."""
 Amcl = tuple[dict[str, BootstrapEstimate], LaserModelChoice | None]
 
 
@@ -169,7 +175,7 @@ def _amended(
     files = [_read(path) for path in paths]
     for file in files:
         _check_not_amended(file, amendments)
-    measured = None if run is None else measure_laser(run)
+    measured = None if run is None else _measured(run)
     left_out: list[str] = []
     options = {"laser": laser, "measured": measured}
     by_format: dict[str, list[Element]] = {}
@@ -192,6 +198,42 @@ def _amended(
         reason = left_out[0] if left_out else "its numbers are already those of the effects"
         raise SensorgraphError(f"nothing to write: {reason}")
     return AmendedModel(files=tuple(amended), left_out=tuple(left_out))
+
+
+def _measured(run: Run) -> MeasuredLaser:
+    """Return the settings of a run's laser; the rate is the inverse of the median period.
+
+    Raises
+    ------
+    SensorgraphError : The run has too few scans, or its laser is not one fan with even steps.
+    """
+    name = str(run.meta.get("source", "the run"))
+    if run.n_scans < MIN_SCANS:
+        raise SensorgraphError(
+            f"{name}: {run.n_scans} scans; expected {MIN_SCANS} or more to measure the rate"
+        )
+    bearings = np.unwrap(run.sensor.bearings)
+    steps = np.diff(bearings)
+    if run.sensor.is_composite or len(steps) == 0 or np.ptp(steps) > SAME_STEP:
+        raise SensorgraphError(f"{name}: the laser is not one fan with even steps; leave the run out")
+    periods = np.diff(run.stamps)
+    period = float(np.median(periods))
+    if period <= 0:
+        raise SensorgraphError(f"{name}: its scans have no increasing times; leave the run out")
+    scatter = robust_sigma(periods - period)
+    returns = run.ranges[np.isfinite(run.ranges)]
+    return MeasuredLaser(
+        n_rays=run.sensor.n_rays,
+        angle_min=float(bearings.min()),
+        angle_max=float(bearings.max()),
+        range_min=float(run.sensor.range_min),
+        range_max=float(run.sensor.range_max),
+        rate=1 / period,
+        # the median of n periods has 1.25 times the standard error of their mean
+        rate_sigma=max(1.25 * scatter / np.sqrt(len(periods)), 1e-6 * period) / period**2,
+        mean_square_range=float(np.mean(returns**2)) if len(returns) else 0.0,
+        name=name,
+    )
 
 
 def _read(path: Path) -> TextFile:

@@ -15,9 +15,7 @@ from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.show.figures.style import MAX_POINTS
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.show.review.contents import RayVerdict, Review
-from sensorgraph.show.review.intensity import LABEL as INTENSITY_LABEL
-from sensorgraph.show.review.intensity import log_intensities
-from sensorgraph.show.review.maps import VERDICT_COLOURS, log_maps, log_voxels, map_labels
+from sensorgraph.show.review.maps import VERDICT_COLOURS, colours, log_maps, log_voxels, map_labels
 from sensorgraph.show.review.report import report
 from sensorgraph.types import Floats, Progress
 
@@ -28,6 +26,9 @@ ROBOT, PLANNED, CLOUD = (90, 220, 140), (60, 75, 110), (95, 95, 110)
 """Colours. Negative radii below are in screen points, not in metres."""
 DEVIATIONS = {"x [cm]": WHITE, "y [cm]": ORANGE, "phi [deg]": ROBOT}
 """Series of the standard deviations of the poses -> colour."""
+INTENSITY_LABEL = "intensity: violet weak, yellow strong"
+INTENSITY_SCALE = (0.01, 0.99)
+"""Quantiles of the intensities at the ends of the colour scale, so that a few reflectors do not darken the rest."""
 
 
 def write(review: Review, path: Path, *, ray: int | None = None, progress: Progress | None = None) -> None:
@@ -76,7 +77,7 @@ def _log_static(recording: rr.RecordingStream, review: Review) -> None:
     recording.log("plan/path", rr.LineStrips2D([path], colors=DIM, radii=-0.4), static=True)
     log_maps(recording, review.cells)
     log_voxels(recording, review.cells)
-    log_intensities(recording, review)
+    _log_intensities(recording, review)
     recording.log("report", rr.TextDocument(report(review), media_type="text/markdown"), static=True)
     if review.evaluation is not None:
         rmse = np.nan_to_num(review.evaluation.rmse_per_ray) * 100
@@ -89,6 +90,26 @@ def _log_static(recording: rr.RecordingStream, review: Review) -> None:
     for name, colour in (("measured", WHITE), ("predicted", ORANGE)):
         style = rr.SeriesLines(colors=colour, names=name, widths=1.2)
         recording.log(f"ray/{name}", style, static=True)
+
+
+def _log_intensities(recording: rr.RecordingStream, review: Review) -> None:
+    """Log the returns of evenly spaced scans as points, coloured by intensity."""
+    points, values = intensity_points(review)
+    if not len(points):
+        return
+    low, high = np.quantile(values, INTENSITY_SCALE)
+    colour = colours((values - low) / max(high - low, 1e-12))
+    recording.log("plan/intensity", rr.Points2D(points, colors=colour, radii=-1.2), static=True)
+
+
+def intensity_points(review: Review) -> tuple[Floats, Floats]:
+    """Return end points (n, 2) [m, map] of returns with an intensity, and these intensities (n,)."""
+    if review.intensities is None:
+        return np.zeros((0, 2)), np.zeros(0)
+    known = np.isfinite(review.measured) & np.isfinite(review.intensities)
+    every = slice(None, None, max(1, -(-int(known.sum()) // MAX_POINTS)))
+    points = review.points(np.where(known, review.measured, np.nan), every)
+    return np.concatenate(points), review.intensities[every][known[every]]
 
 
 def _send_scans(recording: rr.RecordingStream, review: Review, part: slice, ray: int) -> None:
