@@ -106,7 +106,7 @@ def test_each_effect_changes_the_run(name: str, brief: None, monkeypatch: pytest
     changed = {
         "scan": not np.array_equal(one.ranges, other.ranges),
         "pose": not np.array_equal(one.poses, other.poses),
-        "odometry": not np.array_equal(one.twists, other.twists),
+        "odometry": not np.array_equal(one.odometry.twists, other.odometry.twists),
         "drive": not np.array_equal(one.commands, other.commands),
     }
     assert changed[told["channel"]]

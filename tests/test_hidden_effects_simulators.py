@@ -38,7 +38,7 @@ def test_a_log_of_mujoco_means_what_its_truth_says(
     write_log(log, tmp_path / "run.mcap", "mujoco")
     run = read(tmp_path / "run.mcap")
     np.testing.assert_allclose(run.ranges, log.ranges, rtol=1e-6)
-    assert len(run.odom_stamps) == len(log.odom_stamps) and len(run.cmd_stamps) == len(log.cmd_stamps)
+    assert len(run.odom_stamps) == len(log.odometry.stamps) and len(run.cmd_stamps) == len(log.cmd_stamps)
     from planners.maps import geojson
     from sensorgraph.world.raycast import cast_laser, laser_poses
     from sensorgraph.world.robot import parse_robot

@@ -1,4 +1,4 @@
-"""Polygons, and rooms made of them; angles and interpolation. Nothing here is physics of a world."""
+"""Polygons, and rooms made of them; angles, interpolation and noise that lasts. Nothing here is physics of a world."""
 
 from __future__ import annotations
 
@@ -73,6 +73,23 @@ def free_space(outer: Floats, solids: Sequence[Floats]) -> Any:
     """Return what a ring encloses and no solid covers."""
     arena = Polygon(outer)
     return arena.difference(shapely.union_all([Polygon(ring) for ring in solids])) if solids else arena
+
+
+def spot_in(shape: Any, rng: np.random.Generator) -> Floats:
+    """Draw a place (2,) [m] in a shape."""
+    x0, y0, x1, y1 = shape.bounds
+    while True:
+        spot = rng.uniform((x0, y0), (x1, y1))
+        if shape.contains(shapely.Point(spot)):
+            return np.asarray(spot)
+
+
+def lasting(noise: Floats, keep: float) -> Floats:
+    """Return noise (n, k) of unit variance of which a share lasts from each row to the next (autoregressive)."""
+    noise = noise.copy()
+    for i in range(1, len(noise) if keep else 0):
+        noise[i] = keep * noise[i - 1] + math.sqrt(1 - keep**2) * noise[i]
+    return noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -58,11 +58,7 @@ class Log:
     pose_stamps: Floats
     poses: Floats
     """(n, 3) [m, m, rad]"""
-    odom_stamps: Floats
-    odometry: Floats
-    """(n, 3) [m, m, rad]"""
-    twists: Floats
-    """(n, 2) [m/s, rad/s]"""
+    odometry: Odometry
     twist_sigmas: tuple[float, float] | None = None
     """[m/s, rad/s] that the base states; None: nothing."""
     cmd_stamps: Floats
@@ -126,10 +122,10 @@ def _messages(log: Log) -> Iterator[tuple[int, str, int, Any]]:
     of_twist = _covariance(sigma_v**2, 0.0, sigma_omega**2)
 
     def state(k: int) -> tuple[Any, ...]:
-        pose = _geometry("PoseWithCovariance", _pose(log.odometry[k]), of_pose)
-        return "base_link", pose, _geometry("TwistWithCovariance", _twist(log.twists[k]), of_twist)
+        pose = _geometry("PoseWithCovariance", _pose(log.odometry.poses[k]), of_pose)
+        return "base_link", pose, _geometry("TwistWithCovariance", _twist(log.odometry.twists[k]), of_twist)
 
-    yield from sent("/odom", log.odom_stamps, "odom", (0.0005, 0.003), state)
+    yield from sent("/odom", log.odometry.stamps, "odom", (0.0005, 0.003), state)
     yield from sent(
         "/cmd_vel", log.cmd_stamps, "base_link", (0.0002, 0.001), lambda k: (_twist(log.commands[k]),)
     )

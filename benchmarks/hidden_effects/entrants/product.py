@@ -48,9 +48,9 @@ def run_of(case: Case) -> Run:
         ranges=log.ranges,
         pose_stamps=log.pose_stamps,
         poses=log.poses,
-        odom_stamps=log.odom_stamps,
-        odometry=log.odometry,
-        odom_twists=log.twists,
+        odom_stamps=log.odometry.stamps,
+        odometry=log.odometry.poses,
+        odom_twists=log.odometry.twists,
         cmd_stamps=log.cmd_stamps,
         commands=log.commands,
     )

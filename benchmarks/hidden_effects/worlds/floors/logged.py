@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.hidden_effects.geometry import wrapped
+from benchmarks.hidden_effects.geometry import lasting, wrapped
 from benchmarks.hidden_effects.log import Booleans, Floats, Odometry
 from benchmarks.hidden_effects.worlds.floors.effect import Effect
 from benchmarks.hidden_effects.worlds.floors.scene import (
@@ -80,11 +79,7 @@ def observe(setup: Setup, run: Floats, effect: Effect | None = None) -> tuple[Fl
     rng = np.random.default_rng((*setup.seed, 3))
     t = np.arange(FIRST_POSE, setup.duration - LAST_POSE, 1 / robot.pose_rate)
     poses = effect.poses(t, np.column_stack(pose_at(run, t)), run)
-    noise = rng.normal(size=(len(t), 3))
-    kept = background.pose_correlation
-    if kept:
-        for i in range(1, len(noise)):
-            noise[i] = kept * noise[i - 1] + math.sqrt(1 - kept * kept) * noise[i]
+    noise = lasting(rng.normal(size=(len(t), 3)), background.pose_correlation)
     poses = poses + noise * (robot.sigma_xy, robot.sigma_xy, robot.sigma_yaw)
     jitter = rng.normal(size=len(t)) * background.pose_jitter
     poses[:, 2] = wrapped(poses[:, 2])

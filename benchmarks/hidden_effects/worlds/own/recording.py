@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.hidden_effects.geometry import Room
-from benchmarks.hidden_effects.log import Floats, Log
+from benchmarks.hidden_effects.geometry import Room, lasting
+from benchmarks.hidden_effects.log import Floats, Log, Odometry
 from benchmarks.hidden_effects.worlds.own import foreign
 from benchmarks.hidden_effects.worlds.own.drive import Errand, TrueDrive, TrueMotors, drive, wrap
 from benchmarks.hidden_effects.worlds.own.robot import BaseLoop, RobotSpec
@@ -162,9 +162,7 @@ def record(setup: CaseSetup, driven: TrueDrive, effects: Sequence[HiddenEffect],
         ranges=ranges,
         pose_stamps=pose_stamps,
         poses=poses,
-        odom_stamps=odom_stamps,
-        odometry=integrated(twists, robot),
-        twists=twists,
+        odometry=Odometry(stamps=odom_stamps, poses=integrated(twists, robot), twists=twists),
         cmd_stamps=driven.cmd_stamps,
         commands=driven.commands,
     )
@@ -176,12 +174,8 @@ def _reference(
     robot, background = setup.robot, setup.background
     stamps = np.arange(0.0, RUN_DURATION, 1 / robot.pose_rate)
     poses = reported_poses(driven, stamps, effects, setup.room)
-    white = rng.normal(size=poses.shape)
-    if background.memory > 0:
-        rho = background.memory
-        for i in range(1, len(white)):
-            white[i] = rho * white[i - 1] + math.sqrt(1 - rho**2) * white[i]
-    poses = poses + background.camera * white * [robot.sigma_xy, robot.sigma_xy, robot.sigma_yaw]
+    noise = lasting(rng.normal(size=poses.shape), background.memory)
+    poses = poses + background.camera * noise * [robot.sigma_xy, robot.sigma_xy, robot.sigma_yaw]
     poses[:, 2] = wrap(poses[:, 2])
     return stamps, poses
 

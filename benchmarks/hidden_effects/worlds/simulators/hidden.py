@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import shapely
 
 from benchmarks.hidden_effects.case import Case, Spec, truth_of
-from benchmarks.hidden_effects.geometry import Room, ngon, with_edge_moved
+from benchmarks.hidden_effects.geometry import Room, lasting, ngon, spot_in, with_edge_moved
 from benchmarks.hidden_effects.library import CHANNEL
 from benchmarks.hidden_effects.log import Floats, Log
 from benchmarks.hidden_effects.worlds.simulators.rooms import OUTER
@@ -197,11 +195,7 @@ def _free_spot(room: Room, radius: float, rng: np.random.Generator) -> tuple[flo
     """Draw a place near a wall, so that the way through the room stays free."""
     free = room.free()
     ring = free.buffer(-(radius + 0.05)).difference(free.buffer(-(radius + 0.25)))
-    x0, y0, x1, y1 = ring.bounds
-    while True:
-        x, y = rng.uniform((x0, y0), (x1, y1))
-        if ring.contains(shapely.Point(x, y)):
-            return float(x), float(y)
+    return _point(spot_in(ring, rng))
 
 
 def hidden_of(world: str, spec: Spec) -> tuple[str, int]:
@@ -281,10 +275,7 @@ def bent_by_lens(poses: Floats, room: Room, edge: float) -> Floats:
 
 def seen_by_camera(poses: Floats, noise: Floats, rho: float) -> Floats:
     """Return poses (n, 3) with noise of which a share `rho` lasts from frame to frame."""
-    if rho:
-        for k in range(1, len(noise)):
-            noise[k] = rho * noise[k - 1] + math.sqrt(1 - rho**2) * noise[k]
-    poses = poses + noise * [SIGMA_XY, SIGMA_XY, SIGMA_YAW]
+    poses = poses + lasting(noise, rho) * [SIGMA_XY, SIGMA_XY, SIGMA_YAW]
     return np.column_stack([poses[:, :2], np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))])
 
 

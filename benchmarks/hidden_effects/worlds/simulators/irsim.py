@@ -16,7 +16,7 @@ import yaml
 
 from benchmarks.hidden_effects.case import Case, Spec
 from benchmarks.hidden_effects.geometry import Room
-from benchmarks.hidden_effects.log import Floats, Log
+from benchmarks.hidden_effects.log import Floats, Log, Odometry
 from benchmarks.hidden_effects.worlds.simulators.hidden import (
     EPOCH_NS,
     SIGMA_XY,
@@ -180,9 +180,11 @@ def _log(
         ranges=np.round(ranges, 3),
         pose_stamps=stamps,
         poses=seen_by_camera(seen, noise, 0.8 if dirty else 0.0),
-        odom_stamps=stamps,
-        odometry=np.column_stack([xy, np.arctan2(np.sin(heading), np.cos(heading))]),
-        twists=np.column_stack([way, turn]) / STEP,
+        odometry=Odometry(
+            stamps=stamps,
+            poses=np.column_stack([xy, np.arctan2(np.sin(heading), np.cos(heading))]),
+            twists=np.column_stack([way, turn]) / STEP,
+        ),
         cmd_stamps=stamps,
         commands=commands,
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.hidden_effects.case import KINDS, Case, Spec
 from benchmarks.hidden_effects.geometry import Room
-from benchmarks.hidden_effects.log import Floats, Log
+from benchmarks.hidden_effects.log import Floats, Log, Odometry
 from benchmarks.hidden_effects.worlds.simulators.hidden import (
     EPOCH_NS,
     SIGMA_XY,
@@ -61,7 +61,6 @@ def make(spec: Spec) -> Case:
     scanner = Scanner(driven=driven, room=built, laser=laser, secrets=secrets, dirty=dirty, rng=rng)
     ranges = scanner.scans(stamps)
     pose_stamps = np.arange(0.0, DURATION - 0.05, 1 / 30)
-    odom_stamps, odometry, twists = _odometry(driven, base, radius, track, secrets)
     log = Log(
         epoch_ns=EPOCH_NS,
         bearings=laser.bearings,
@@ -70,9 +69,7 @@ def make(spec: Spec) -> Case:
         ranges=ranges,
         pose_stamps=pose_stamps,
         poses=_camera(driven, room, pose_stamps, secrets, dirty=dirty, rng=rng),
-        odom_stamps=odom_stamps,
-        odometry=odometry,
-        twists=twists,
+        odometry=_odometry(driven, base, radius, track, secrets),
         cmd_stamps=driven.cmd_stamps,
         commands=driven.commands,
     )
@@ -121,9 +118,7 @@ def _draw_base(rng: np.random.Generator) -> Base:
     )
 
 
-def _odometry(
-    driven: Driven, base: Base, radius: float, track: float, secrets: Secrets
-) -> tuple[Floats, Floats, Floats]:
+def _odometry(driven: Driven, base: Base, radius: float, track: float, secrets: Secrets) -> Odometry:
     """Count ticks, and integrate them as one of three common drivers does; the twist is that of the last period."""
     stamps = np.arange(1 / base.odom_rate, DURATION - 0.1, 1 / base.odom_rate)
     angle = driven.wheels_at(stamps - secrets.value("pose_clock_offset", "tau"))
@@ -143,8 +138,8 @@ def _odometry(
     ]
     chord = way * np.sinc(turn / (2 * np.pi)) if base.integration == "exact" else way
     xy = np.cumsum(chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1), axis=0)
-    odometry = np.column_stack([xy, np.arctan2(np.sin(phi), np.cos(phi))])
-    return stamps, odometry, np.column_stack([way, turn]) * base.odom_rate
+    poses = np.column_stack([xy, np.arctan2(np.sin(phi), np.cos(phi))])
+    return Odometry(stamps=stamps, poses=poses, twists=np.column_stack([way, turn]) * base.odom_rate)
 
 
 def _camera(

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
-from benchmarks.hidden_effects.geometry import Room, interpolated, outward, wrapped
+from benchmarks.hidden_effects.geometry import Room, interpolated, outward, spot_in, wrapped
 from benchmarks.hidden_effects.log import Floats
 from benchmarks.hidden_effects.worlds.simulators.hidden import PARTS, Secrets
 from benchmarks.hidden_effects.worlds.simulators.mujoco_drive import LASER_HEIGHT, Driven
@@ -119,15 +118,9 @@ class World:
 def walkers(room: Room, count: int, stamps: Floats, rng: np.random.Generator) -> Floats:
     """Let people walk between random points at 0.7 m/s, (n_stamps, count, 2) [m]."""
     free = room.free().buffer(-(PERSON + 0.05))
-    x0, y0, x1, y1 = free.bounds
     tracks = []
     for _ in range(count):
-        points: list[Floats] = []
-        while len(points) < 40:
-            point = rng.uniform((x0, y0), (x1, y1))
-            if free.intersects(shapely.Point(point)):
-                points.append(point)
-        corners = np.array(points)
+        corners = np.array([spot_in(free, rng) for _ in range(40)])
         when = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T)) / 0.7])
         tracks.append(interpolated(stamps, when, corners))
     return np.stack(tracks, axis=1)

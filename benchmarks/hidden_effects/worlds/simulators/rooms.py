@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from benchmarks.hidden_effects.geometry import Room, ngon, rectangle, turned, wrapped
+from benchmarks.hidden_effects.geometry import Room, ngon, rectangle, spot_in, turned, wrapped
 from benchmarks.hidden_effects.log import Floats
 
 OUTER = "arena"
@@ -73,7 +73,7 @@ class Pilot:
 
     def start(self) -> Floats:
         """Draw a pose (x, y, phi) to begin at."""
-        return np.array([*self._point(), self.rng.uniform(-np.pi, np.pi)])
+        return np.array([*spot_in(self.space, self.rng), self.rng.uniform(-np.pi, np.pi)])
 
     def command(self, pose: Floats) -> tuple[float, float]:
         """Return the next set point, of limited slope."""
@@ -122,17 +122,10 @@ class Pilot:
     def _choose(self, pose: Floats) -> None:
         self.speed = float(self.rng.uniform(0.4, 1.0) * self.v_max)
         for _ in range(200):
-            point = self._point()
+            point = spot_in(self.space, self.rng)
             if np.hypot(*(point - pose[:2])) < 0.5:
                 continue
             if self.core.buffer(0.05).contains(shapely.LineString([pose[:2], point])):
                 self.target = point
                 return
         self.target = np.array(shapely.ops.nearest_points(self.space, shapely.Point(pose[:2]))[0].coords[0])
-
-    def _point(self) -> Floats:
-        x0, y0, x1, y1 = self.space.bounds
-        while True:
-            point = self.rng.uniform((x0, y0), (x1, y1))
-            if self.space.contains(shapely.Point(point)):
-                return np.asarray(point)
