@@ -48,13 +48,16 @@ class Jumps:
         return f"the pose jumps {times} between consecutive scans, at most {self.farthest:.1f} m at {self.at:.2f} s"
 
 
-def find_jumps(stamps: Floats, poses: Floats, *, is_timed: bool = True) -> Jumps | None:
-    """Return the steps between consecutive scans that exceed `JUMP_LIMITS`; None if there is no such step.
+def find_jumps(
+    stamps: Floats, poses: Floats, *, least: float = JUMP_LIMITS.distance, is_timed: bool = True
+) -> Jumps | None:
+    """Return the steps between consecutive poses that are farther than a robot drives; None if there is no such step.
 
     Parameters
     ----------
-    stamps : (n,) [s] of the scans with a pose, in order
+    stamps : (n,) [s] in order
     poses : (n, 3) [m, m, rad]
+    least : [m] shorter steps are no jumps
     is_timed : whether the stamps come from a clock; False if they are assumed
     """
     if len(stamps) < 2:
@@ -63,7 +66,7 @@ def find_jumps(stamps: Floats, poses: Floats, *, is_timed: bool = True) -> Jumps
     usual = (
         float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     )  # a clock of whole seconds repeats
-    allowed = np.maximum(JUMP_LIMITS.distance, JUMP_LIMITS.speed * np.maximum(steps, usual))
+    allowed = np.maximum(least, JUMP_LIMITS.speed * np.maximum(steps, usual))
     if not is_timed:
         allowed[:] = JUMP_LIMITS.untimed
     jumps = moved > allowed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.alternating_scans import alternating_text
-from logs.jumps import JUMP_LIMITS
+from logs.jumps import JUMP_LIMITS, find_jumps
 from logs.notes import notes_of
 from logs.range_limits import median_text
 from logs.run import Run
@@ -87,15 +87,10 @@ def _pose_warnings(run: Run) -> list[str]:
     if len(stamps) > 1 and broken == 0:
         if np.ptp(poses, axis=0).max() < ROUNDING:
             out.append("the pose never changes; check that the robot moved and the reference was running")
-        steps = np.diff(stamps)
-        moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        jumps = (moved > JUMP_LIMITS.noise) & (moved > JUMP_LIMITS.speed * np.maximum(steps, 1e-3))
-        if run.meta.get("clock") == "assumed":
-            jumps = moved > JUMP_LIMITS.untimed
-        if jumps.any():
-            at = float(stamps[int(np.argmax(np.where(jumps, moved, 0)))])
+        is_timed = run.meta.get("clock") != "assumed"
+        if jumps := find_jumps(stamps, poses, least=JUMP_LIMITS.noise, is_timed=is_timed):
             out.append(
-                f"the pose jumps {int(jumps.sum())} times, at most {moved[jumps].max():.2f} m at {at:.2f} s"
+                f"the pose jumps {jumps.count} times, at most {jumps.farthest:.2f} m at {jumps.at:.2f} s"
             )
     return out + _frozen_warnings(run)
 

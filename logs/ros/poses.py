@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from logs.errors import LogError
-from logs.jumps import JUMP_LIMITS
+from logs.jumps import find_jumps
 from logs.odometry_faults import hung_poses, measured_poses, wrong_poses
 from logs.publishers import of_one_publisher
 from logs.ros.messages import planar_covariances
@@ -217,15 +217,11 @@ def find_motion(
 
 def _of_one_publisher(name: str, odom: Track) -> tuple[Track, list[str]]:
     """Return the odometry of one publisher, and a note on odometry that jumps back and forth."""
-    seconds = np.diff(odom.stamps) / 1e9
-    moved = np.hypot(*np.diff(odom.values[:, :2], axis=0).T)
-    jumps = (moved > JUMP_LIMITS.speed * np.maximum(seconds, 1e-3)) & (moved > MIN_JUMP)
-    if not len(jumps) or jumps.mean() < MIN_JUMPS:
+    times = (odom.stamps - odom.stamps[:1]) / 1e9
+    jumps = find_jumps(times, odom.values[:, :3], least=MIN_JUMP)
+    if jumps is None or jumps.share < MIN_JUMPS:
         return odom, []
-    jumping = (
-        f"{name} jumps at {100 * jumps.mean():.0f} % of its messages, by up to {moved[jumps].max():.2f} m"
-    )
-    times = (odom.stamps - odom.stamps[0]) / 1e9
+    jumping = f"{name} jumps at {100 * jumps.share:.0f} % of its messages, by up to {jumps.farthest:.2f} m"
     index = of_one_publisher(times, odom.values[:, :3])
     if index is None:
         return odom, [f"{jumping}: two publishers, or two clocks"]
