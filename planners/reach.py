@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.joins.ompl_process import JOIN_PLANNERS
-from planners.types import Bools, Floats
+from planners.types import Bools, Floats, Ints
 
 NODE_STEP = 0.02
 """[m] Upper bound of the node spacing; reduced so that a cell is a whole number of steps."""
@@ -66,6 +66,17 @@ class Reach:
     def nodes(self, index: tuple[np.ndarray, ...]) -> Floats:
         """Return the positions (n, 2) [m] of nodes given as index arrays (i, j)."""
         return self.origin + (np.stack(index, axis=-1) + 0.5) * self.step
+
+    def nearest(self, place: ArrayLike) -> Ints | None:
+        """Return the index (2,) of the reachable node nearest to a place (2,) [m], among those around it, or None."""
+        place = np.asarray(place, dtype=np.float64)
+        at = np.floor((place - self.origin) / self.step).astype(np.intp)
+        low = np.maximum(at - 2, 0)
+        around = np.argwhere(self.mask[low[0] : at[0] + 3, low[1] : at[1] + 3]) + low
+        if not len(around):
+            return None
+        away = np.hypot(*(self.nodes(tuple(around.T)) - place).T)
+        return np.asarray(around[away.argmin()])
 
     def blocks(self, raster: np.ndarray) -> np.ndarray:
         """Reshape a raster (mx, my) to (nx, ny, per_cell²), one row per cell."""

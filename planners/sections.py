@@ -63,9 +63,7 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
             f"{where} is {away:.2f} m from a wall, less than the robot's radius and margin of "
             f"{reach.clearance:.2f} m; move it away from the wall"
         )
-    at = np.floor((pose[:2] - reach.origin) / reach.step).astype(np.int64)
-    low, high = np.maximum(at - 2, 0), at + 3
-    if not reach.mask[low[0] : high[0], low[1] : high[1]].any():
+    if reach.nearest(pose[:2]) is None:
         raise PlanError(
             f"{where} cannot be reached from the start; move the pose or the start into the same part of the floor"
         )

@@ -20,10 +20,10 @@ from scipy.sparse import csgraph
 
 from planners.clearance import Barriers
 from planners.joins.ompl_process import CLEARANCE_SLACK, call_ompl
-from planners.order import HALF_NEIGHBOURHOOD
+from planners.order import neighbours
 from planners.reach import Reach
 from planners.task import JoinCounts, Task
-from planners.types import ROUND_OFF, Floats, Ints
+from planners.types import ROUND_OFF, Floats
 
 
 def join(task: Task, starts: Floats, ends: Floats) -> tuple[list[Floats | None], JoinCounts]:
@@ -116,10 +116,10 @@ def raster_path(start: Floats, end: Floats, reach: Reach) -> Floats | None:
     The costs keep the path away from walls where that makes it only a little longer.
     """
     number = np.cumsum(reach.mask.ravel()).reshape(reach.mask.shape) - 1
-    first, last = (_nearest_node(place, reach) for place in (start, end))
+    first, last = (reach.nearest(place) for place in (start, end))
     if first is None or last is None:
         return None
-    graph = _node_graph(reach, number)
+    graph = _node_graph(reach)
     source, goal = int(number[tuple(first)]), int(number[tuple(last)])
     far, before = csgraph.dijkstra(
         graph, directed=False, indices=np.array([source]), return_predecessors=True
@@ -134,30 +134,12 @@ def raster_path(start: Floats, end: Floats, reach: Reach) -> Floats | None:
     return np.concatenate([start[None], places, end[None]])
 
 
-def _node_graph(reach: Reach, number: Ints) -> sparse.csr_array:
+def _node_graph(reach: Reach) -> sparse.csr_array:
     """Return the costs [m] from each reachable node to its eight neighbours."""
-    depth = (reach.distance - reach.clearance) / reach.step
+    depth = (reach.distance[reach.mask] - reach.clearance) / reach.step
     cost_per_metre = 1 + 1 / (1 + np.maximum(depth, 0.0))
-    nx, ny = reach.mask.shape
-    rows, columns, costs = [], [], []
-    for i, j in HALF_NEIGHBOURHOOD:
-        here = (slice(0, nx - i), slice(max(-j, 0), ny - max(j, 0)))
-        there = (slice(i, nx), slice(max(j, 0), ny + min(j, 0)))
-        both = reach.mask[here] & reach.mask[there]
-        rows.append(number[here][both])
-        columns.append(number[there][both])
-        costs.append(0.5 * np.hypot(i, j) * reach.step * (cost_per_metre[here] + cost_per_metre[there])[both])
-    n = int(reach.mask.sum())
-    entries = (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns)))
-    return sparse.csr_array(sparse.coo_array(entries, shape=(n, n)))
-
-
-def _nearest_node(place: Floats, reach: Reach) -> Ints | None:
-    """Return the index (2,) of the reachable node nearest to a place, among those around it, or None."""
-    at = np.floor((place - reach.origin) / reach.step).astype(np.intp)
-    low = np.maximum(at - 2, 0)
-    around = np.argwhere(reach.mask[low[0] : at[0] + 3, low[1] : at[1] + 3]) + low
-    if not len(around):
-        return None
-    away = np.hypot(*(reach.nodes(tuple(around.T)) - place).T)
-    return np.asarray(around[away.argmin()])
+    nodes = np.argwhere(reach.mask)
+    one, other = neighbours(nodes).T
+    lengths = np.hypot(*(nodes[other] - nodes[one]).T) * reach.step
+    costs = 0.5 * lengths * (cost_per_metre[one] + cost_per_metre[other])
+    return sparse.csr_array(sparse.coo_array((costs, (one, other)), shape=(len(nodes), len(nodes))))

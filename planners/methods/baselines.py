@@ -111,18 +111,13 @@ def _ring(task: Task) -> Floats:
     for beyond in (WALL_DISTANCE, WALL_DISTANCE / 2, 0.01):
         inner = task.arena.free.buffer(-(task.reach.clearance + beyond), join_style="mitre", mitre_limit=2.0)
         parts = [part for part in getattr(inner, "geoms", [inner]) if not part.is_empty]
-        reached = [part for part in parts if _is_reached(task, np.array(part.exterior.coords[0]))]
+        reached = [part for part in parts if task.reach.nearest(part.exterior.coords[0]) is not None]
         if reached:
             rings = [ring for part in reached for ring in (part.exterior, *part.interiors)]
             ring = max(rings, key=lambda line: float(line.length))
             points = np.asarray(ring.simplify(0.01).coords)[:-1, :2]
             return points if shapely.LinearRing(points).is_ccw else points[::-1]
     raise PlanError("no wall can be followed within reach of the start; choose another start")
-
-
-def _is_reached(task: Task, point: Floats) -> bool:
-    i, j = np.floor((point - task.reach.origin) / task.reach.step).astype(int).tolist()
-    return bool(task.reach.mask[max(i - 2, 0) : i + 3, max(j - 2, 0) : j + 3].any())
 
 
 def _start(task: Task, rng: np.random.Generator) -> Floats:
