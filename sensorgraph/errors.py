@@ -69,7 +69,7 @@ def as_sensorgraph_error(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def raising(*args: P.args, **kwargs: P.kwargs) -> R:
         if known is not None:
-            refuse_unknown_options(kwargs, known)
+            refuse_unknown(kwargs, known, "option")
         refuse_wrong_types({**dict(zip(names, args, strict=False)), **kwargs}, hints())
         try:
             return function(*args, **kwargs)
@@ -93,7 +93,7 @@ def takes_options(types: Callable[[], Mapping[str, Any]]) -> Callable[[Callable[
         @wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> R:
             hints = types()
-            refuse_unknown_options(kwargs, [*own, *hints])
+            refuse_unknown(kwargs, [*own, *hints], "option")
             refuse_wrong_types({name: kwargs[name] for name in kwargs if name not in own}, hints)
             return function(*args, **kwargs)
 
@@ -114,16 +114,25 @@ def refuse_wrong_types(given: Mapping[str, object], hints: Mapping[str, Any]) ->
         raise SensorgraphError(fault)
 
 
-def refuse_unknown_options(given: Iterable[str], known: Collection[str]) -> None:
-    """Refuse an option that is not known, and suggest the most similar one.
+def refuse_unknown(
+    given: Iterable[object], known: Collection[str], what: str, *, where: str = "", section: str = ""
+) -> None:
+    """Refuse a name that is not known, and suggest the most similar one.
+
+    Parameters
+    ----------
+    what : What the names are, such as `option` or `key`.
+    where : Begin of the message, such as the name of a file.
+    section : What precedes the names, such as `limits.`.
 
     Raises
     ------
-    SensorgraphError : An option is unknown.
+    SensorgraphError : A name is unknown.
     """
     for name in given:
         if name not in known:
-            raise SensorgraphError(f"unknown option `{name}`; {suggestion(name, known)}")
+            start, like = f"{where}: " if where else "", suggestion(str(name), known, section)
+            raise SensorgraphError(f"{start}unknown {what} `{section}{name}`; {like}")
 
 
 def suggestion(name: str, known: Collection[str], where: str = "") -> str:

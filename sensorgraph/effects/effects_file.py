@@ -18,7 +18,7 @@ from planners.arena import Arena
 from planners.yaml_text import parse_yaml
 from sensorgraph.effects import EFFECTS, Amendment, Effect, Location
 from sensorgraph.effects.places import named_walls
-from sensorgraph.errors import SensorgraphError, suggestion
+from sensorgraph.errors import SensorgraphError, refuse_unknown, suggestion
 from sensorgraph.quantities import ANGLE, LENGTH, NO_UNIT, SPEED, TIME, Dimension, quantity
 
 logger = logging.getLogger(__name__)
@@ -112,11 +112,8 @@ def check_places(amendments: Sequence[Amendment], arena: Arena, *, name: str = "
 def _amendment(entry: Any, where: str, arena: Arena | None) -> Amendment:
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
         raise SensorgraphError(f"{where} is {entry!r}, expected keys {', '.join(KEYS)}; name is required")
-    _refuse_unknown(entry, KEYS, where, "key")
-    if entry["name"] not in EFFECTS:
-        raise SensorgraphError(
-            f"{where}: unknown effect `{entry['name']}`; {suggestion(entry['name'], list(EFFECTS))}"
-        )
+    refuse_unknown(entry, KEYS, "key", where=where)
+    refuse_unknown([entry["name"]], EFFECTS, "effect", where=where)
     effect = EFFECTS[entry["name"]]
     where = f"{where} ({effect.name})"
     known = {p.name: DIMENSIONS[p.unit] for p in effect.parameters}
@@ -150,7 +147,7 @@ def _location(data: Any, where: str) -> Location | None:
         return None
     if not isinstance(data, dict):
         raise SensorgraphError(f"{where}: location is {data!r}, expected keys name, xy")
-    _refuse_unknown(data, ("name", "xy"), where, "key of location")
+    refuse_unknown(data, ("name", "xy"), "key of location", where=where)
     name, xy = data.get("name") or "", data.get("xy")
     if not isinstance(name, str):
         raise SensorgraphError(
@@ -215,7 +212,7 @@ def _numbers(
         raise SensorgraphError(
             f"{where}: {what} is {data!r}, expected NAME: NUMBER for {', '.join(known) or 'none'}"
         )
-    _refuse_unknown(data, list(known), where, what)
+    refuse_unknown(data, known, what, where=where)
     return {
         key: _number(value, f"{where}: {what} `{key}`", known[key], is_finite=is_finite)
         for key, value in data.items()
@@ -232,12 +229,6 @@ def _number(value: Any, where: str, dimension: Dimension = NO_UNIT, *, is_finite
     if not is_finite and isinstance(value, float) and math.isinf(value):
         return value
     return quantity(value, where, dimension, most=None if is_finite else math.inf)
-
-
-def _refuse_unknown(data: Mapping[Any, Any], known: Sequence[str], where: str, what: str) -> None:
-    for key in data:
-        if key not in known:
-            raise SensorgraphError(f"{where}: unknown {what} `{key}`; {suggestion(str(key), known)}")
 
 
 def _places_like(name: str, known: Sequence[str]) -> str:

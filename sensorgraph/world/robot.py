@@ -12,10 +12,10 @@ from typing import Any
 from logs.run import RangeSensor
 from planners.vehicle import DRIVES, Limits, Vehicle
 from planners.yaml_text import parse_yaml
-from sensorgraph.errors import SensorgraphError, as_sensorgraph_error
+from sensorgraph.errors import SensorgraphError, as_sensorgraph_error, refuse_unknown
 from sensorgraph.types import Floats
 from sensorgraph.world.robot_sensor import OWN_KEYS, SENSOR_DEFAULTS, parse_sensors, sensor_of
-from sensorgraph.world.robot_values import reject_unknown, section, value_of
+from sensorgraph.world.robot_values import section, value_of
 
 logger = logging.getLogger(__name__)
 
@@ -168,7 +168,7 @@ def parse_robot(text: str, *, name: str = "robot.yaml") -> Robot:
         raise SensorgraphError(
             f"{name}: contains an arena (keys {', '.join(map(str, [*data][:4]))}), expected a robot.yaml; are arena and robot swapped?"
         )
-    reject_unknown(name, "", data, [*TOP, *SECTIONS, "sensors"])
+    refuse_unknown(data, [*TOP, *SECTIONS, "sensors"], "key", where=name)
     values = {key: section(name, key, data.get(key), defaults) for key, defaults in SECTIONS.items()}
     top = {key: value_of(name, key, data.get(key, default), default) for key, default in TOP.items()}
     if top["drive"] not in DRIVES:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from sensorgraph.errors import SensorgraphError, suggestion
+from sensorgraph.errors import SensorgraphError, refuse_unknown
 from sensorgraph.quantities import (
     ACCELERATION,
     ANGLE,
@@ -56,20 +56,6 @@ SIGNED = {
 }
 
 
-def reject_unknown(name: str, where: str, data: Mapping[Any, Any], known: list[str]) -> None:
-    """Refuse a key that is not known, and suggest the most similar one.
-
-    Raises
-    ------
-    SensorgraphError : A key is unknown.
-    """
-    for key in data:
-        if key not in known:
-            raise SensorgraphError(
-                f"{name}: unknown key `{where}{key}`; {suggestion(str(key), known, where)}"
-            )
-
-
 def section(name: str, key: str, data: Any, defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Return all values of a section; missing keys have their defaults.
 
@@ -80,7 +66,7 @@ def section(name: str, key: str, data: Any, defaults: Mapping[str, Any]) -> dict
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise SensorgraphError(f"{name}: `{key}` is {data!r}, expected keys {', '.join(defaults)}")
-    reject_unknown(name, f"{key}.", data, list(defaults))
+    refuse_unknown(data, defaults, "key", where=name, section=f"{key}.")
     return {k: value_of(name, f"{key}.{k}", data.get(k, default), default) for k, default in defaults.items()}
 
 
