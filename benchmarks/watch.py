@@ -145,11 +145,7 @@ class Field:
         ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
         ends = self.sensor.mount[:2] + ranges[used, None] * ahead
         at = compose(pose, np.column_stack([ends, np.zeros(len(ends))]))[:, :2]
-        column, row = np.floor((at - self.cells.low) / self.cells.cell).astype(int).T
-        ny, nx = self.cells.distance.shape
-        inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
-        distance = self.cells.distance[np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)]
-        return np.where(inside, distance, amcl_filter.MAX_DISTANCE)
+        return np.nan_to_num(self.cells.at(at), nan=amcl_filter.MAX_DISTANCE)
 
     def mean_likelihood(self, pose: Floats, ranges: Floats) -> float:
         """Return the mean likelihood of the returns."""

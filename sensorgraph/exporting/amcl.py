@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from itertools import islice, pairwise
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 from scipy.optimize import nnls
 
 from logs.run import OccupancyMap, Run, pair
@@ -211,15 +210,9 @@ def _distance_to_cells(lasers: Floats, bearings: Floats, z: Floats, grid: Occupa
 
     It combines the distance between cell centres with a uniform position within the cell.
     """
-    far = distance_transform_edt(grid.data != 100) * grid.resolution
     phi = lasers[:, 2:] + bearings
-    x, y = lasers[:, :1] + z * np.cos(phi), lasers[:, 1:2] + z * np.sin(phi)
-    known = np.isfinite(x)
-    column = np.where(known, (x - grid.origin[0]) / grid.resolution, -1.0).astype(np.intp)
-    row = np.where(known, (y - grid.origin[1]) / grid.resolution, -1.0).astype(np.intp)
-    inside = known & (column >= 0) & (row >= 0) & (column < far.shape[1]) & (row < far.shape[0])
-    cell_distance = far[np.where(inside, row, 0), np.where(inside, column, 0)]
-    return np.where(inside, np.hypot(cell_distance, grid.resolution / np.sqrt(12)), np.nan)
+    ends = np.stack([lasers[:, :1] + z * np.cos(phi), lasers[:, 1:2] + z * np.sin(phi)], axis=-1)
+    return np.asarray(np.hypot(CellDistances.of(grid).at(ends), grid.resolution / np.sqrt(12)))
 
 
 def _motion_noise(run: Run) -> dict[str, BootstrapEstimate]:

@@ -51,6 +51,15 @@ class CellDistances:
             low=np.asarray(grid.origin[:2]), cell=grid.resolution, distance=np.minimum(far, MAX_DISTANCE)
         )
 
+    def at(self, points: Floats) -> Floats:
+        """Return the distance (...) [m] of points (..., 2); nan off the map, and where they are not finite."""
+        column, row = np.moveaxis(np.floor((points - self.low) / self.cell), -1, 0)
+        ny, nx = self.distance.shape
+        with np.errstate(invalid="ignore"):
+            inside = (column >= 0) & (row >= 0) & (column < nx) & (row < ny)
+        at = (np.where(inside, one, 0).astype(np.intp) for one in (row, column))
+        return np.where(inside, self.distance[tuple(at)], np.nan)
+
     def table(self, parameters: Mapping[str, float], laser_model: str) -> Floats:
         """Return the contribution of a return in each cell (ny * nx + 1,); the last is for a return off the map."""
         distance = np.append(self.distance.ravel(), MAX_DISTANCE)
