@@ -27,6 +27,7 @@ from benchmarks.arguments import parser_of
 from benchmarks.hidden_effects.geometry import interpolated
 from logs.run import Run
 from logs.transforms import compose, invert
+from sensorgraph.data.export.drive_mujoco import MujocoWorld
 from sensorgraph.exporting.twin import drive_twin
 from sensorgraph.world.ray_intersection import nearest_walls
 from sensorgraph.world.raycast import cast_laser
@@ -46,8 +47,6 @@ SEGMENT = 5.0
 """[s] Length of a repeated segment."""
 WARM_UP = 2.0
 """[s] Time before a segment in which lag and delay settle."""
-SETTLE = 1.0
-"""[s] Time in which the robot settles on its wheels."""
 VIEWS = 24
 """Number of views of the drive that is diagnosed."""
 
@@ -107,17 +106,15 @@ def mjcf(n: Numbers) -> str:
 """
 
 
-class Twin:
+class Twin(MujocoWorld):
     """A model driven by twists; its controller assumes the radius and the wheelbase of robot.yaml."""
 
-    name = f"MuJoCo {mujoco.__version__}"
     has_motors = True
+    walls: np.ndarray
 
     def __init__(self, text: str, robot: Robot) -> None:
-        self.model = mujoco.MjModel.from_xml_string(text)
+        self.robot, self.model = robot, mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(self.model)
-        self.robot = robot
-        self.heading = 0.0
 
     @property
     def mount(self) -> np.ndarray:
@@ -125,36 +122,10 @@ class Twin:
         laser = self.model.body("laser")
         return np.array([*laser.pos[:2], 2 * np.arctan2(laser.quat[3], laser.quat[0])])
 
-    def place(self, pose: np.ndarray) -> None:
-        """Put the robot at a pose, at rest."""
-        mujoco.mj_resetData(self.model, self.data)
-        self.heading = float(pose[2])
-        self.data.qpos[:7] = [*pose[:2], 0.1, np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
-        mujoco.mj_step(self.model, self.data, round(SETTLE / self.model.opt.timestep))
-
-    def shift(self, pose: np.ndarray) -> None:
-        """Move the body; this world has no slip."""
-        raise NotImplementedError
-
     def cast(self, ox: np.ndarray, oy: np.ndarray, ux: np.ndarray, uy: np.ndarray) -> np.ndarray:
         """Cast rays; the walls are those of the arena."""
         ranges, _ = nearest_walls(self.walls, *(part.ravel() for part in (ox, oy, ux, uy)))
         return ranges.reshape(ox.shape)
-
-    walls: np.ndarray
-
-    def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        """Move; return the pose and the twist that the driver computes from its encoders."""
-        radius, base = self.robot.wheels.radius, self.robot.wheels.base
-        self.data.ctrl[:] = [(v - omega * base / 2) / radius, (v + omega * base / 2) / radius]
-        mujoco.mj_step(self.model, self.data, round(duration / self.model.opt.timestep))
-        left, right = (self.data.joint(f"{side}_wheel").qvel[0] * radius for side in ("left", "right"))
-        w, x, y, z = self.data.qpos[3:7]
-        phi = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        self.heading += np.remainder(phi - self.heading + np.pi, 2 * np.pi) - np.pi
-        return np.array([*self.data.qpos[:2], self.heading]), np.array(
-            [(left + right) / 2, (right - left) / base]
-        )
 
 
 def with_servo_lag(robot: Robot) -> Robot:

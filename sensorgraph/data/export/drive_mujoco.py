@@ -43,7 +43,8 @@ class MujocoWorld:
         if not self.has_motors:
             self.shift(pose)
             return
-        self.data.qpos[:7] = [pose[0], pose[1], 0.0, np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
+        self.data.qpos[:2] = pose[:2]
+        self.data.qpos[3:7] = [np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
         mujoco.mj_step(self.model, self.data, round(SETTLE / self.model.opt.timestep))
 
     def step(self, v: float, omega: float, duration: float) -> tuple[np.ndarray, np.ndarray]:
