@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 
 import sensorgraph as sg
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import heads, parser_of
 from benchmarks.hidden_effects.geometry import interpolated
 from logs.run import Run
 from logs.transforms import compose, invert
@@ -221,9 +221,7 @@ def main() -> None:
     robot, arena = with_servo_lag(parse_robot(ROBOT)), sg.load_arena("square")
     print(f"the user's model: dead time {1e3 * robot.actuators.delay:.1f} ms")
     args.out.mkdir(parents=True, exist_ok=True)
-    print(
-        "| seed | | ranges | twist | position after 5 s | heading after 5 s |\n|---|---|---:|---:|---:|---:|"
-    )
+    print(heads("seed", "", "ranges", "twist", "position after 5 s", "heading after 5 s", text=2))
     for seed in range(args.seeds):
         hidden = draw(np.random.default_rng([56, seed]))
         user = args.out / f"bot_{seed}.xml"

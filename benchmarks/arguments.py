@@ -1,4 +1,4 @@
-"""What the command lines of the benchmarks share: arguments, kept results, time, memory, and means with their intervals."""
+"""What the command lines of the benchmarks share: arguments, kept results, time, memory, tables, and means with their intervals."""
 
 from __future__ import annotations
 
@@ -53,6 +53,12 @@ def log_of_halves(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def heads(*columns: str, text: int = 1) -> str:
+    """Return the heads of a table in Markdown, of which the first columns hold text and the others numbers."""
+    rule = "---|" * text + "---:|" * (len(columns) - text)
+    return f"| {' | '.join(columns)} |\n|{rule}"
+
+
 def half_interval(values: Floats) -> Floats:
     """Return half the 95 % interval of the mean over the first axis, by Student's t; nan for fewer than two values."""
     n = len(values)
@@ -92,13 +98,11 @@ def peak_memory(*, with_children: bool = False) -> float:
     return sum(resource.getrusage(who).ru_maxrss for who in counted) * unit / 2**20
 
 
-def fastest(
-    work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.process_time
-) -> float:
-    """Return the seconds of the fastest of several repeats."""
+def fastest(work: Callable[[], object], repeats: int) -> float:
+    """Return the processor time [s] of the fastest of several repeats."""
     times = []
     for _ in range(repeats):
-        start = clock()
+        start = time.process_time()
         work()
-        times.append(clock() - start)
+        times.append(time.process_time() - start)
     return min(times)

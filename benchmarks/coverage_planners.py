@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.arguments import keep, kept, parser_of, peak_memory, timed
+from benchmarks.arguments import heads, keep, kept, parser_of, peak_memory, timed
 from benchmarks.offices import office
 from benchmarks.places import arena_named, vehicle, write_map
 from planners import PlanError, plan
@@ -107,7 +107,7 @@ def main() -> None:
     planners = options.planner or ["coverage", "stop_and_spin"][: 1 + (is_usual and options.drive == "diff")]
     rows = kept(options.keep)
     known = {(row["place"], row["planner"]) for row in rows}
-    print("| " + " | ".join(COLUMNS) + " |\n|---|---|" + "---:|" * (len(COLUMNS) - 2))
+    print(heads(*COLUMNS, text=2))
     for place in places(options):
         for planner in planners:
             name = place.name if options.drive == "diff" else f"{place.name} ({options.drive})"

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arguments import half_interval, keep, kept, parser_of
+from benchmarks.arguments import half_interval, heads, keep, kept, parser_of
 from benchmarks.places import arena_named, drive_and_log
 from logs.run import Run
 from planners import plan
@@ -66,8 +66,7 @@ class DriveScore:
 
 def summary(rows: list[dict[str, Any]], path: Path) -> None:
     """Print the mean share wrong of each way with its 95 % interval over places, and by how much anytime differs; draw it."""
-    print("\n| driven by | places (runs) | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
-    print("|---|---:|" + "---:|" * len(ALL_MINUTES))
+    print("\n" + heads("driven by", "places (runs)", *(f"{minutes} min" for minutes in ALL_MINUTES)))
     figure = new_figure(6.4, 3.4)
     axes = figure.subplots()
     ways_kept = list(dict.fromkeys(row["way"] for row in rows))
@@ -106,8 +105,7 @@ def summary(rows: list[dict[str, Any]], path: Path) -> None:
 def single_places(rows: list[dict[str, Any]]) -> None:
     """Print the share wrong in each place by one anytime plan and by views, the mean of its seeds."""
     some = common(rows, "anytime", "views")
-    print("\n| place (seeds) | driven by | " + " | ".join(f"{minutes} min" for minutes in ALL_MINUTES) + " |")
-    print("|---|---|" + "---:|" * len(ALL_MINUTES))
+    print("\n" + heads("place (seeds)", "driven by", *(f"{minutes} min" for minutes in ALL_MINUTES), text=2))
     for place in dict.fromkeys(row["arena"] for row in some):
         n_seeds = len({row["seed"] for row in some if row["arena"] == place})
         shares = {
@@ -284,10 +282,8 @@ def main() -> None:
         summary(rows, options.out)
         single_places(rows)
         return
-    print(
-        "| arena | driven by | minutes | scans | wrong by > 5 cm | answered | of these wrong | median error |"
-    )
-    print("|---|---|---:|---:|---:|---:|---:|---:|")
+    shown = "minutes", "scans", "wrong by > 5 cm", "answered", "of these wrong", "median error"
+    print(heads("arena", "driven by", *shown, text=2))
     for name in options.arena:
         for seed in options.seed:
             place = place_of(name, default_robot(), seed, options.thin)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.arguments import parser_of, timed
+from benchmarks.arguments import heads, parser_of, timed
 from sensorgraph.show.figures.style import AMBER, INK, TEAL, TEXT, new_figure, save_figure
 
 LISTENER = '''
@@ -171,16 +171,11 @@ def main() -> None:
     arguments = parser.parse_args()
     with TemporaryDirectory() as folder:
         runs = {label: timed_demo(Path(folder), label) for label in ("first", "second")}
-    print(
-        "| demo | CPU [s] | of it compiling [s] | wall [s] | "
-        + " | ".join(s for s, _ in runs["first"].stages)
-        + " |"
-    )
-    print("|---|" + "---:|" * (3 + len(runs["first"].stages)))
+    print(heads("demo", "CPU [s]", "of it compiling [s]", "wall [s]", *(s for s, _ in runs["first"].stages)))
     for label, run in runs.items():
         stages = " | ".join(f"{at:.0f} s" for _, at in run.stages)
         print(f"| {label} | {run.cpu:.0f} | {sum(run.kernels.values()):.0f} | {run.wall:.0f} | {stages} |")
-    print("\n| kernel | compiling [s] |\n|---|---:|")
+    print("\n" + heads("kernel", "compiling [s]"))
     own, numba = Counter[str](), 0.0
     for kernel, seconds in runs["first"].kernels.items():
         if kernel.startswith("numba."):

@@ -26,7 +26,7 @@ import numpy as np
 
 import logs
 import sensorgraph as sg
-from benchmarks.arguments import existing, parser_of, timed
+from benchmarks.arguments import existing, heads, parser_of, timed
 from logs.run import Run
 from logs.transforms import wrap
 
@@ -172,7 +172,7 @@ def compare(folder: Path) -> None:
     found = json.loads((folder / "fleet" / "fleet.json").read_text())
     planted = json.loads((folder / "planted.json").read_text())
     rows, n_invented, n_found = found["rows"], 0, 0
-    print("| robot | planted | since day | found | since | size |\n|---|---|---:|---|---:|---|")
+    print(heads("robot", "planted", "since day", "found", "since", "size", text=2))
     for one in planted:
         hits = [c for c in found["changes"] if (c["robot"], c["quantity"]) == (one["robot"], one["quantity"])]
         hit = max(hits, key=lambda c: c["probability"], default=None)

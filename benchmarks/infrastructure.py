@@ -34,7 +34,7 @@ from mcap_ros2.writer import Writer
 
 import logs
 from benchmarks import zenoh_robot
-from benchmarks.arguments import fastest, parser_of, peak_memory, timed
+from benchmarks.arguments import fastest, heads, parser_of, peak_memory, timed
 from logs.ros.definitions import definition
 from logs.run import RangeSensor, Run
 from planners.maps import geojson
@@ -112,8 +112,8 @@ def peer_read(path: Path) -> np.ndarray:
 
 def time_mcap(_: argparse.Namespace) -> None:
     """Print the rates of writing and reading, as a table."""
-    print("| rays | job | ours [scans/s] | mcap-ros2-support [scans/s] | ratio | ours [MB] | theirs [MB] |")
-    print("|---|---|---|---|---|---|---|")
+    shown = "ours [scans/s]", "mcap-ros2-support [scans/s]", "ratio", "ours [MB]", "theirs [MB]"
+    print(heads("rays", "job", *shown, text=2))
     with TemporaryDirectory() as folder:
         ours, theirs = Path(folder) / "ours.mcap", Path(folder) / "theirs.mcap"
         for n_rays in RAY_COUNTS:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import fastest, half_interval, parser_of, timed
+from benchmarks.arguments import fastest, half_interval, heads, parser_of, timed
 from benchmarks.places import arena_named
 from logs.run import RangeSensor, Run
 from planners.arena import Arena
@@ -132,8 +132,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="0,1")
     options = parser.parse_args()
     measure(arena_named("office"), 100, 0, planned=False)  # compiles
-    print("| poses | arena, seed | " + " | ".join(label for label, _, _ in GRAPH_COLUMNS.values()) + " |")
-    print("|---|---" + "|---:" * len(GRAPH_COLUMNS) + "|")
+    print(heads("poses", "arena, seed", *(label for label, _, _ in GRAPH_COLUMNS.values()), text=2))
     for planned in (True, False):
         kind = f"{N_POSES:,} {'planned' if planned else 'uniform'}"
         rows: list[GraphScore] = []

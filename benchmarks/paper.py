@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import heads, parser_of
 from benchmarks.drives import closed_loop, covered, robot_of_the_paper
 from logs.run import Run, pair
 from planners.arena import Arena
@@ -72,7 +72,7 @@ def environment(folder: Path) -> None:
     enough = next(m for m in path if m.scores["one_step"].r >= full.scores["one_step"].r_low)
     least = next(m for m in path if m.scores["one_step"].r >= PAPER_R)
     print(f"{full.n_train} samples every {data.period:g} s train, {full.scores['one_step'].n} validate\n")
-    print("| model of L67 | terms | r on the second half (95 %) | RMSE [m] |\n|---|---:|---|---:|")
+    print(heads("model of L67", "terms", "r on the second half (95 %)", "RMSE [m]"))
     for label, found in (
         ("the paper's full dictionary", full),
         ("chosen on the first half (EBIC)", few),
@@ -82,10 +82,8 @@ def environment(folder: Path) -> None:
         print(f"| {label} | {len(found.model.terms)} | {said(found.scores['one_step'])} |")
     print(f"\n```\n{least.model.equation(digits=4)}\n\n{enough.model.equation(digits=4)}\n```\n")
     graphs = _graphs(arena)
-    print(
-        "| asked about L67 | along the wall, second half: r (95 %) | RMSE [m] | elsewhere: r (95 %) | RMSE [m] |"
-    )
-    print("|---|---|---:|---|---:|")
+    along, other = "along the wall, second half: r (95 %)", "elsewhere: r (95 %)"
+    print(heads("asked about L67", along, "RMSE [m]", other, "RMSE [m]"))
     there = signals_of_run(elsewhere, [SHOWN_RAY, "x", "y"], every=SCAN_STRIDE).records
     measured = [r.signals[SHOWN_RAY] for r in there]
     guesses = {"the polynomial of the run along the wall": [few.model.predict_osa(r) for r in there]}
@@ -175,8 +173,9 @@ def task(folder: Path) -> None:
     """Print and draw the second experiment."""
     arena, robot = load_arena("square"), robot_of_the_paper()
     follow = closed_loop("wall_following", arena, robot, START_POSE, PAPER_MINUTES * 60, REPORTED_SEED)
-    print("| turn rate from the mean of L45 to L90 | terms | r on the second half (95 %) | RMSE [rad/s] |")
-    print("|---|---:|---|---:|")
+    print(
+        heads("turn rate from the mean of L45 to L90", "terms", "r on the second half (95 %)", "RMSE [rad/s]")
+    )
     found = {}
     for every in (1, SCAN_STRIDE):
         data = signals_of_run(follow, ["cmd_omega", "L45-90"], every=every)

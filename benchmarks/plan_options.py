@@ -26,7 +26,7 @@ from unittest import mock
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import heads, parser_of
 from benchmarks.places import drive_and_log, vehicle
 from planners import Plan, plan
 from planners.arena import Arena, wrap
@@ -123,9 +123,7 @@ def share_of(made: Plan, poses: Floats, roomy: Bools) -> Floats:
 def resume(arena: Arena, _: str) -> None:
     """Print a row for each earlier run."""
     robot = default_robot()
-    print(
-        "| earlier run | met before | coverage | driving [min] | of a fresh plan |\n|---|---:|---:|---:|---:|"
-    )
+    print(heads("earlier run", "met before", "coverage", "driving [min]", "of a fresh plan"))
     fresh = plan(arena, robot, rate=robot.sensor.rate, seed=SEED)
     for name, poses in earlier(arena, fresh.curve.log(robot.sensor.rate)):
         report = plan(arena, robot, rate=robot.sensor.rate, seed=SEED, visited=poses, start=poses[-1]).report
@@ -153,8 +151,7 @@ def earlier(arena: Arena, whole: Floats) -> Iterator[tuple[str, Floats]]:
 def priority(arena: Arena, name: str) -> None:
     """Print a row for each drive."""
     print("doubt met after a share of the reference time, by doubt (without)")
-    print("| arena, drive | T / T_ref | " + " | ".join(f"{share:g}" for share in SHARES) + " |")
-    print("|---|---|" + "---|" * len(SHARES))
+    print(heads("arena, drive", "T / T_ref", *(f"{share:g}" for share in SHARES)))
     graph = bounced(arena)
     for drive in COMPARED_DRIVES:
         robot = vehicle(drive)

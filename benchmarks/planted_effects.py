@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import existing, parser_of, timed
+from benchmarks.arguments import existing, heads, parser_of, timed
 from benchmarks.planted_changes import FULL_SIZE, HALF_SIZE, Plant
 from benchmarks.planted_site import (
     SCANS_IN_GRAPH,
@@ -87,8 +87,9 @@ class Results:
 
     def lines(self) -> Iterator[str]:
         """Yield the table, and what was named where nothing was planted."""
-        yield "| effect | size | windows | named first | another name | nats, median | size, median |"
-        yield "|---|---|---|---|---|---|---|"
+        yield heads(
+            "effect", "size", "windows", "named first", "another name", "nats, median", "size, median", text=2
+        )
         for plant in dict.fromkeys(outcome.plant for outcome in self.outcomes):
             cases = [outcome for outcome in self.outcomes if outcome.plant == plant]
             found = sum(case.first_name == plant.name for case in cases)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import heads, parser_of
 from logs import read
 from logs.run import Run, pair
 from logs.transforms import compose
@@ -57,7 +57,7 @@ def main() -> None:
         "drawn with memory": _drawn(graph, poses[later], memory, places[later], stamps[later]),
     }
     found = {name: _statistics(values, said, later, index[later]) for name, values in worlds.items()}
-    print("| | " + " | ".join(found) + " |\n|---|" + "---:|" * len(found))
+    print(heads("", *found))
     for label in found["recorded"]:
         print(f"| {label} | " + " | ".join(f"{values[label]:.3f}" for values in found.values()) + " |")
 

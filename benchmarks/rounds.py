@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.arguments import half_interval, parser_of
+from benchmarks.arguments import half_interval, heads, parser_of
 from benchmarks.error_by_minutes import Place, check_of, place_of, ways
 from logs.run import Run, pair
 from planners import plan
@@ -44,9 +44,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, nargs="+", default=[1])
     parser.add_argument("--thin", type=int, default=1)
     options = parser.parse_args()
-    print(
-        "| arena | seed | driven by | minutes | wrong by > 5 cm | answered |\n|---|---:|---|---:|---:|---:|"
-    )
+    print(heads("arena", "seed", "driven by", "minutes", "wrong by > 5 cm", "answered", text=3))
     found = [
         compared(name, place_of(name, default_robot(), seed, options.thin), options.rounds, options.ahead)
         for name in options.arena

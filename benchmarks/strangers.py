@@ -33,7 +33,7 @@ import numpy as np
 import yaml
 
 import logs
-from benchmarks.arguments import parser_of, processor_time
+from benchmarks.arguments import heads, parser_of, processor_time
 from benchmarks.locate import aligned
 from logs.formats import format_of
 from logs.formats.rosbag import logs_in
@@ -247,7 +247,7 @@ def row_of(path: Path, folder: Path) -> Row:
 
 def lines_of(rows: Sequence[Row]) -> list[str]:
     """Return the table in Markdown."""
-    lines = [f"| log | what it is | {' | '.join(OUTPUTS)} | s |", f"|---|---|{'---|' * len(OUTPUTS)}---:|"]
+    lines = [heads("log", "what it is", *OUTPUTS, "s", text=2 + len(OUTPUTS))]
     for row in rows:
         said = [("✗ " if code != 0 else "") + shortened(text) for code, text, _ in row.said.values()]
         took = " / ".join(f"{seconds:.0f}" for _, _, seconds in row.said.values())

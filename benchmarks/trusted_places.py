@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.arguments import parser_of
+from benchmarks.arguments import heads, parser_of
 from benchmarks.drives import closed_loop, covered, robot_of_the_paper
 from logs.run import Run
 from planners.arena import Arena
@@ -61,8 +61,7 @@ def main() -> None:
     fresh = drives(arena, robot, arguments.minutes, FRESH_SEED)
     for name, run in train.items():
         print(f"{name}: {run.n_scans:,} scans of {run.sensor.n_rays} rays, {run.stamps[-1] / 60:.0f} min")
-    print("\n| model, built from | " + " | ".join(f"asked: {name}" for name in fresh) + " |")
-    print("|---|" + "---|" * len(fresh))
+    print("\n" + heads("model, built from", *(f"asked: {name}" for name in fresh)))
     lags = []
     for model in MODELS:
         for name, run in train.items():
@@ -76,8 +75,8 @@ def main() -> None:
                         for way in ("one_step", "persistence", "free_run")
                     )
                     lags.append(f"| {name} | {other} | {ways} | {one.all['rmse_m']:.3f} |")
-    print("\n| narmax, built from | asked | one step | persistence | free run | each pose alone |")
-    print("|---|---|---:|---:|---:|---:|")
+    shown = "one step", "persistence", "free run", "each pose alone"
+    print("\n" + heads("narmax, built from", "asked", *shown, text=2))
     print("\n".join(lags))
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from benchmarks.arguments import half_interval, parser_of, timed
+from benchmarks.arguments import half_interval, heads, parser_of, timed
 from benchmarks.places import arena_named
 from logs.run import RangeSensor
 from planners.arena import Arena
@@ -140,7 +140,7 @@ def main() -> None:
                 f"  {name}: " + ", ".join(f"{c} {v:.3f}" for c, v in zip(LASER_COLUMNS, values, strict=True))
             )
     print(f"case {args.case}, {N_SCANS} scans, mean ± 95 % over {len(OFFICES)} offices")
-    print("| | " + " | ".join(LASER_COLUMNS) + " |\n|---|" + "---:|" * len(LASER_COLUMNS))
+    print(heads("", *LASER_COLUMNS))
     for name, found in rows.items():
         cells = zip(np.mean(found, axis=0), half_interval(np.array(found)), strict=True)
         print(f"| {name} | " + " | ".join(f"{mean:.3f} ± {half:.3f}" for mean, half in cells) + " |")
