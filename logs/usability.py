@@ -177,9 +177,8 @@ def _locate(run: Run, ground: Ground | None) -> tuple[Verdict, str]:
 
 
 def _build(run: Run, locate: Verdict) -> tuple[Verdict, str]:
-    source = run.meta.get("pose_source", "")
-    if not len(run.pose_stamps) or source.startswith("odometry"):
-        what = "its poses are odometry" if source.startswith("odometry") else "it has no reference poses"
+    if not _has_reference(run):
+        what = "its poses are odometry" if len(run.pose_stamps) else "it has no reference poses"
         if locate == "no":
             return "no", f"{what}, and it cannot be located"
         return "limited", f"{what}: it is located first, and the map is as good as these poses"
@@ -193,14 +192,13 @@ def _build(run: Run, locate: Verdict) -> tuple[Verdict, str]:
 
 
 def _laser(run: Run, ground: Ground | None, locate: Verdict) -> tuple[Verdict, str]:
-    has_reference = len(run.pose_stamps) > 0 and not run.meta.get("pose_source", "").startswith("odometry")
-    if locate == "no" and not has_reference:
+    if locate == "no" and not _has_reference(run):
         return "no", "it needs scans that can be located, or reference poses"
     if ground is None:
         return "limited", "without odometry and reference, only ranges and missing returns are tested"
     if ground.turn < MIN_TURN:
         return "limited", f"only {ground.turn:.1f} rad of turns: the mount and the clock hardly show"
-    if not has_reference:
+    if not _has_reference(run):
         return "limited", "no reference poses: located ones follow errors of the mount and the clock"
     return "yes", "reference poses and turns; give the arena and the robot"
 
@@ -231,6 +229,10 @@ def _motors(run: Run) -> tuple[Verdict, str]:
     return "yes", f"{len(run.cmd_stamps):,} commands, {n:,} changes"
 
 
+def _has_reference(run: Run) -> bool:
+    return len(run.pose_stamps) > 0 and not run.meta.get("pose_source", "").startswith("odometry")
+
+
 def _from(meta: Mapping[str, str], key: str) -> str:
     return f" from {meta[key]}" if meta.get(key) else ""
 
@@ -248,9 +250,7 @@ def advice(run: Run, ground: Ground | None) -> str:
     rarer, name = min((ground.left, "left"), (ground.right, "right"))
     if rarer < MIN_ONE_SIDE * ground.turn:
         return f"drive turns to the {name}: they are {100 * rarer / ground.turn:.0f} % of all, so that the errors of the two wheels cannot be distinguished"
-    if not ground.revisits and not len(run.pose_stamps):
-        return "return to places that were seen before: without a loop, drift stays in the map"
-    if not ground.revisits and run.meta.get("pose_source", "").startswith("odometry"):
+    if not ground.revisits and not _has_reference(run):
         return "return to places that were seen before: without a loop, drift stays in the map"
     if not len(run.cmd_stamps):
         return "record the commands (/cmd_vel), to test the motors"
