@@ -13,7 +13,7 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.joins.ompl_process import JOIN_PLANNERS
-from planners.types import Bools, Floats, Ints
+from planners.types import ROUND_OFF, Bools, Floats, Ints
 
 NODE_STEP = 0.02
 """[m] Upper bound of the node spacing; reduced so that a cell is a whole number of steps."""
@@ -168,48 +168,45 @@ def reach(
             f"no place in the arena is {clearance:.2f} m clear of walls (the widest has "
             f"{distance.max():.2f} m); the robot does not fit: use a smaller `margin` or footprint_radius"
         )
-    parts, _ = ndimage.label(fits)
-    if start is None:
-        wanted = int(np.bincount(parts[fits]).argmax())
-    else:
-        wanted = _part_of(name, start, arena, barriers, parts, (x, y), clearance)
-    return Reach(
+    whole = Reach(
         origin=np.array([x0, y0]),
         cell=cell,
         per_cell=per_cell,
         clearance=clearance,
         distance=distance,
-        mask=np.asarray(parts == wanted),
+        mask=fits,
         fits=int(fits.sum()),
     )
+    parts, _ = ndimage.label(fits)
+    if start is None:
+        wanted = int(np.bincount(parts[fits]).argmax())
+    else:
+        away = check_free(name, start, arena, barriers, clearance)
+        node = whole.nearest(start[:2])
+        if node is None:
+            raise PlanError(
+                f"{name} ({start[0]:g}, {start[1]:g}) is in a gap of only {2 * away:.2f} m; move it into open space"
+            )
+        wanted = parts[tuple(node)]
+    return replace(whole, mask=np.asarray(parts == wanted))
 
 
-def _part_of(
-    name: str,
-    start: Floats,
-    arena: Arena,
-    barriers: Barriers,
-    parts: np.ndarray,
-    axes: tuple[Floats, Floats],
-    clearance: float,
-) -> int:
-    """Return the label of the part that contains the start."""
-    where = f"{name} ({start[0]:g}, {start[1]:g})"
-    away = float(barriers.distances(start[None, :2])[0])
-    if not arena.contains(start[:2]):
+def check_free(name: str, place: Floats, arena: Arena, barriers: Barriers, clearance: float) -> float:
+    """Return the distance [m] of a place from the nearest barrier.
+
+    Raises
+    ------
+    PlanError : It is outside the arena or too near to a wall; `name` is its name in the message.
+    """
+    where = f"{name} ({place[0]:g}, {place[1]:g})"
+    away = float(barriers.distances(place[None, :2])[0])
+    if not arena.contains(place[:2]):
         raise PlanError(
             f"{where} is {away:.2f} m inside a wall or outside the arena; move it into free space"
         )
-    if away < clearance - 1e-9:
+    if away < clearance - ROUND_OFF:
         raise PlanError(
             f"{where} is {away:.2f} m from a wall, less than the robot's radius and margin of {clearance:.2f} m; "
             "move it away from the wall or shrink footprint_radius"
         )
-    x, y = axes
-    step = x[1] - x[0]
-    i, j = np.flatnonzero(abs(x - start[0]) <= 2 * step), np.flatnonzero(abs(y - start[1]) <= 2 * step)
-    found = parts[np.ix_(i, j)]
-    if not found.any():
-        raise PlanError(f"{where} is in a gap of only {2 * away:.2f} m; move it into open space")
-    far = np.hypot(x[i, None] - start[0], y[None, j] - start[1])
-    return int(found.flat[np.where(found > 0, far, np.inf).argmin()])
+    return away

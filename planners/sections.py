@@ -19,7 +19,7 @@ from planners.curve import Curve, CurveBuilder, join_curves
 from planners.errors import PlanError
 from planners.joins.car_paths import connect_car
 from planners.joins.paths import join
-from planners.reach import Reach
+from planners.reach import Reach, check_free
 from planners.task import JoinCounts, PlannedDrive, Task
 from planners.types import ROUND_OFF, Floats, Ints
 from planners.vehicle import Vehicle
@@ -52,20 +52,13 @@ def check_pose(name: str, pose: Floats, arena: Arena, barriers: Barriers, reach:
     PlanError : The pose is outside the arena, too near to a wall, or out of reach; `name` is its name in the
         message.
     """
-    where = f"{name} ({pose[0]:g}, {pose[1]:g})"
     if not np.isfinite(pose).all():
         raise PlanError(f"{name} is {pose.tolist()}, expected three finite numbers x, y, phi")
-    if not arena.contains(pose[:2]):
-        raise PlanError(f"{where} is outside the arena or within an obstacle; move it into free space")
-    away = float(barriers.distances(pose[None, :2])[0])
-    if away < reach.clearance - ROUND_OFF:
-        raise PlanError(
-            f"{where} is {away:.2f} m from a wall, less than the robot's radius and margin of "
-            f"{reach.clearance:.2f} m; move it away from the wall"
-        )
+    check_free(name, pose, arena, barriers, reach.clearance)
     if reach.nearest(pose[:2]) is None:
         raise PlanError(
-            f"{where} cannot be reached from the start; move the pose or the start into the same part of the floor"
+            f"{name} ({pose[0]:g}, {pose[1]:g}) cannot be reached from the start; move the pose or the start into the "
+            "same part of the floor"
         )
 
 
