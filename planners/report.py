@@ -142,32 +142,25 @@ def sampling_warnings(
     """
     twists = trajectory.twists
     v, omega = np.maximum(twists.max(axis=0), -twists.min(axis=0)).tolist()
-    width, found = 2 * np.pi / headings, []
-    if v > 0 and cell * rate / v < MIN_POSES:
-        found.append(
-            f"at {v:.2f} m/s a log of {rate:g} Hz has {_down(cell * rate / v)} poses in a cell of {cell:g} m; for "
-            f"{MIN_POSES:g}, log at {_up(MIN_POSES * v / cell)} Hz or more, drive at {_down(cell * rate / MIN_POSES)} m/s or "
-            "less, or use larger cells"
-        )
-    if omega > 0 and width * rate / omega < MIN_POSES:
-        found.append(
-            f"at {omega:.2f} rad/s a log of {rate:g} Hz has {_down(width * rate / omega)} poses in a heading bin of "
-            f"{np.degrees(width):.3g}°; for {MIN_POSES:g}, log at {_up(MIN_POSES * omega / width)} Hz or more, turn at "
-            f"{_down(width * rate / MIN_POSES)} rad/s or less, or use fewer headings"
-        )
-    if sweep_time * v > cell / 2:
-        found.append(
-            f"at {v:.2f} m/s the robot drives {sweep_time * v:.2g} m while a scan of {sweep_time:g} s is measured, "
-            f"more than half a cell of {cell:g} m; drive at {_down(cell / 2 / sweep_time)} m/s or less, or use "
-            "larger cells"
-        )
-    if sweep_time * omega > width / 2:
-        found.append(
-            f"at {omega:.2f} rad/s the robot turns {np.degrees(sweep_time * omega):.3g}° while a scan of "
-            f"{sweep_time:g} s is measured, more than half a heading bin of {np.degrees(width):.3g}°; turn at "
-            f"{_down(width / 2 / sweep_time)} rad/s or less, or use fewer headings"
-        )
-    return found
+    width, few, swept = 2 * np.pi / headings, list[str](), list[str]()
+    cells, bins = f"a cell of {cell:g} m", f"a heading bin of {np.degrees(width):.3g}°"
+    moves = f"drives {sweep_time * v:.2g} m", f"turns {np.degrees(sweep_time * omega):.3g}°"
+    for speed, unit, size, where, what, how in (
+        (v, "m/s", cell, cells, moves[0], ("drive", "use larger cells")),
+        (omega, "rad/s", width, bins, moves[1], ("turn", "use fewer headings")),
+    ):
+        if speed > 0 and size * rate / speed < MIN_POSES:
+            few.append(
+                f"at {speed:.2f} {unit} a log of {rate:g} Hz has {_down(size * rate / speed)} poses in {where}; for "
+                f"{MIN_POSES:g}, log at {_up(MIN_POSES * speed / size)} Hz or more, {how[0]} at "
+                f"{_down(size * rate / MIN_POSES)} {unit} or less, or {how[1]}"
+            )
+        if sweep_time * speed > size / 2:
+            swept.append(
+                f"at {speed:.2f} {unit} the robot {what} while a scan of {sweep_time:g} s is measured, more than half "
+                f"{where}; {how[0]} at {_down(size / 2 / sweep_time)} {unit} or less, or {how[1]}"
+            )
+    return [*few, *swept]
 
 
 def _up(value: float) -> str:
