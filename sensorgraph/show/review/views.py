@@ -10,8 +10,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from logs.transforms import wrap
-from sensorgraph.errors import SensorgraphError
 from sensorgraph.models.cones.settings import measures_cones
+from sensorgraph.sensor_model_input import rays_of
 from sensorgraph.show.figures.style import MAX_POINTS
 from sensorgraph.show.rerun_file import BACKGROUND, DIM, ORANGE, WALL, WHITE, folded, recorded
 from sensorgraph.show.review.contents import RayVerdict, Review
@@ -41,10 +41,7 @@ def write(review: Review, path: Path, *, ray: int | None = None, progress: Progr
     sensor = review.run.sensor
     if ray is None:
         ray = int(np.abs(wrap(sensor.bearings + sensor.mount[2])).argmin())
-    if not 0 <= ray < review.run.sensor.n_rays:
-        raise SensorgraphError(
-            f"ray {ray} does not exist; this sensor has rays 0 to {review.run.sensor.n_rays - 1}"
-        )
+    (ray,) = rays_of([ray], sensor.n_rays).tolist()
     with recorded(path, "review", _layout(review, ray)) as recording:
         _log_static(recording, review)
         for start in range(0, len(review.shown), SCANS_PER_CHUNK):
