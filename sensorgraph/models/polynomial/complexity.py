@@ -54,7 +54,7 @@ def select_form(
 
     Raises
     ------
-    SensorgraphError : A degree or a number of harmonics or terms is too small, or no ray returned.
+    SensorgraphError : A degree or a number of harmonics or terms is too small.
     """
     for name, value, least in (("degree", degree, 0), ("harmonics", harmonics, 0), ("terms", n_terms, 1)):
         if value != "auto" and value < least:
@@ -92,10 +92,6 @@ class _Folds:
     def __init__(self, scans: TrainingScans, scale: Scale, terms: Terms) -> None:
         q = scans.sensor.n_rays
         returning = np.flatnonzero(np.isfinite(scans.ranges).any(axis=0))
-        if len(returning) == 0:
-            raise SensorgraphError(
-                "no ray of any training scan returned a range; record where the sensor sees something"
-            )
         rays = returning[
             np.unique(np.linspace(0, len(returning) - 1, min(MAX_RAYS, q)).round().astype(np.intp))
         ]

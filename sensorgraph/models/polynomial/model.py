@@ -109,6 +109,10 @@ class Polynomial:
         SensorgraphError : An option is unknown, or no ray returned.
         """
         check_options(cls, options)
+        if not np.isfinite(scans.ranges).any():
+            raise SensorgraphError(
+                "no ray of any training scan returned a range; record where the sensor sees something"
+            )
         scale = scale_of(scans)
         form = select_form(scans, scale, dictionary, progress=progress, **options)
         terms = dictionary(form.degree, form.harmonics)
@@ -284,10 +288,6 @@ def _select_all(
         "returns": np.isfinite(scans.ranges).sum(axis=0),
         "nothing": np.isposinf(scans.ranges).sum(axis=0),
     }
-    if not out["returns"].any():
-        raise SensorgraphError(
-            "no ray of any training scan returned a range; record where the sensor sees something"
-        )
     out["theta"][:, terms.names.index("1")] = np.where(out["returns"] > 0, 0.0, scans.sensor.range_max)
     step = max(1, min(q, MAX_GRAM_NUMBERS // (2 * m * m))) if scans.ray_poses is None else 1
     total = -(-n // POSES_PER_BLOCK) * -(-q // step)
