@@ -12,6 +12,7 @@ from conftest import further, polygon_arena
 import logs
 import sensorgraph as sg
 from logs.jumps import find_jumps
+from logs.run_warnings import warnings_of
 from planners.arena import Arena
 from sensorgraph.cli import run as command
 from sensorgraph.errors import SensorgraphError
@@ -37,6 +38,15 @@ def test_a_clock_of_whole_seconds_is_no_jump_and_no_clock_allows_two_metres() ->
     assert find_jumps(np.floor(np.arange(20) / 2), poses) is None
     assert find_jumps(np.arange(20) * 0.1, poses, is_timed=False) is None
     assert find_jumps(np.arange(20) * 0.1, 2 * poses, is_timed=False) is not None
+
+
+def test_repeated_stamps_of_a_coarse_clock_are_no_jumps_for_inspect(sensor: logs.RangeSensor) -> None:
+    stamps, ranges = np.floor(np.arange(20) / 2), np.ones((20, sensor.n_rays))
+    poses = np.column_stack([0.3 * np.arange(20), np.zeros(20), np.zeros(20)])
+    run = logs.Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)
+    assert "jumps" not in "\n".join(warnings_of(run))
+    poses[7:, 1] += 6.0
+    assert "the pose jumps 1 times, at most 6.01 m" in "\n".join(warnings_of(run))
 
 
 def test_places_measured_one_by_one_are_taken_where_the_scans_fit_together(
