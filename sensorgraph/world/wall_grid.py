@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from planners.groups import members
 from planners.kernel import kernel
 from planners.types import ROUND_OFF, SAME_PLACE
 from sensorgraph.types import Floats, Ints
@@ -89,10 +90,8 @@ def _cells_of(walls: Floats, kept: Ints, frame: Floats, nx: int, ny: int) -> tup
 
 def _expanded(first: Ints, last: Ints) -> tuple[Ints, Ints]:
     """Return (index, k) for every k from first[index] to last[index]."""
-    count = last - first + 1
-    ends = np.cumsum(count)
-    index = np.repeat(np.arange(len(count)), count)
-    return index, np.arange(int(ends[-1])) - np.repeat(ends - count - first, count)
+    index, number = members(last - first + 1)
+    return index, first[index] + number
 
 
 def nearest_in_grid(
