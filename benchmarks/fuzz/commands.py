@@ -130,8 +130,8 @@ def fuzz_command(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
         shutil.rmtree(folder, ignore_errors=True)
         places = write_samples(folder)
         words = [word.format(**places) for word in _words(name, rng)]
-        wrong = judge(lambda words=words, out=places["out"]: _run(words, out), COMMAND_SECONDS)  # type: ignore[misc]
-        if wrong:
+        ending = judge(lambda words=words, out=places["out"]: _run(words, out), COMMAND_SECONDS)  # type: ignore[misc]
+        if wrong := ending.wrong:
             found[f"{wrong}: {' '.join(words)}".replace(str(folder), "")] += 1
     shutil.rmtree(folder, ignore_errors=True)
     return found

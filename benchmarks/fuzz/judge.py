@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
+from typing import NamedTuple
 
 from logs.errors import LogError
 from planners.errors import PlanError
@@ -48,22 +49,39 @@ def limits(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def judge(action: Callable[[], object], seconds: float = SECONDS) -> str:
-    """Run something; return what is wrong with how it ends, or nothing."""
+class Ending(NamedTuple):
+    """How something ended."""
+
+    wrong: str = ""
+    """What is wrong with it."""
+    refusal: str = ""
+    """The line of ours with which it ended."""
+
+    @property
+    def word(self) -> str:
+        """`ok`, `refused`, or what is wrong."""
+        return self.wrong or ("refused" if self.refusal else "ok")
+
+
+def judge(action: Callable[[], object], seconds: float = SECONDS) -> Ending:
+    """Run something; return how it ends."""
+    hidden = io.StringIO()
     try:
-        with limits(seconds), warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        with limits(seconds), warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
-            action()
+            with contextlib.redirect_stdout(hidden), contextlib.redirect_stderr(hidden):
+                action()
     except OURS as exc:
         text = str(exc)
         if not text.strip() or len(text.splitlines()) > 1:
-            return f"{type(exc).__name__} of {len(text.splitlines())} lines: {text[:60]!r}"
-        return "" if len(text) < 1500 else f"a line of {len(text)} characters: {text[:60]!r}"
+            return Ending(f"{type(exc).__name__} of {len(text.splitlines())} lines: {text[:60]!r}")
+        long = "" if len(text) < 1500 else f"a line of {len(text)} characters: {text[:60]!r}"
+        return Ending(long, text)
     except Hung:
-        return f"takes longer than {seconds:g} s"
+        return Ending(f"takes longer than {seconds:g} s")
     except BaseException as exc:
         frames = reversed(traceback.extract_tb(exc.__traceback__))
         frame = next((f for f in frames if "/site-packages/" not in f.filename), None)
         where = "" if frame is None else f" at {Path(frame.filename).name}:{frame.lineno}"
-        return f"{type(exc).__name__}{where}: {' '.join(str(exc).split())[:80]}"
-    return ""
+        return Ending(f"{type(exc).__name__}{where}: {' '.join(str(exc).split())[:80]}")
+    return Ending()

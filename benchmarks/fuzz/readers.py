@@ -182,7 +182,7 @@ def fuzz_reader(name: str, n: int, seed: int, folder: Path) -> Counter[str]:
     for _ in range(n):
         data = damaged(reader, rng)
         path.write_bytes(data)
-        wrong = judge(lambda: reader.read(path))
+        wrong = judge(lambda: reader.read(path)).wrong
         if wrong:
             found[wrong] += 1
             if found[wrong] == 1:

@@ -6,7 +6,6 @@ import contextlib
 import io
 import re
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import logs
-from benchmarks.fuzz.judge import OURS, judge
+from benchmarks.fuzz.judge import judge
 from benchmarks.fuzz.structure.draft import EPOCH, Draft, compose, inverse, ray_times
 from benchmarks.fuzz.structure.drives import Floats
 from logs.ros.recording import parse_topics
@@ -98,22 +97,6 @@ class Outcome:
         return self.locate == "ok" and self.ok >= USED_SHARE
 
 
-def _ended(action: Callable[[], object]) -> tuple[str, str]:
-    """Run a command; return how it ended and the line of a refusal."""
-    line: list[str] = []
-
-    def run() -> None:
-        try:
-            action()
-        except (logs.LogError, *OURS) as exc:
-            line.append(str(exc))
-            raise
-
-    with contextlib.redirect_stderr(io.StringIO()):
-        wrong = judge(run, SECONDS)
-    return (wrong, "") if wrong else ("refused" if line else "ok", line[0] if line else "")
-
-
 def look(draft: Draft, path: Path, kind: str, seed: int) -> Outcome:
     """Run both commands on a written log and judge them."""
     out = Outcome(kind=kind, seed=seed, container=draft.container, usable=draft.usable)
@@ -142,9 +125,8 @@ def look(draft: Draft, path: Path, kind: str, seed: int) -> Outcome:
 
     began = time.process_time()
     parse_topics(topics)
-    out.inspect, first = _ended(inspected)
-    out.locate, second = _ended(located)
-    out.refusal = second or first
+    first, second = judge(inspected, SECONDS), judge(located, SECONDS)
+    out.inspect, out.locate, out.refusal = first.word, second.word, second.refusal or first.refusal
     out.seconds = time.process_time() - began
     spoken = "\n".join([said.getvalue(), *out.notes, out.refusal])
     out.is_said = bool(re.search(draft.said, spoken)) if draft.said else True
