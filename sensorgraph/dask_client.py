@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 from sensorgraph.errors import SensorgraphError
@@ -58,3 +61,21 @@ async def _greet(address: str) -> None:
 def n_threads(client: Any) -> int:
     """Return the number of threads of all workers of a client."""
     return sum(client.nthreads().values())
+
+
+@contextmanager
+def cluster_map(address: str) -> Iterator[Callable[..., Iterator[Any]]]:
+    """Yield a `map` that runs on the cluster of `connected(address)`, in the order of the items."""
+    with connected(address) as client:
+        n_ahead = TASKS_AHEAD * n_threads(client)
+
+        def mapped(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+            waiting = deque[Any]()
+            for item in items:
+                waiting.append(client.submit(function, item, pure=False))
+                if len(waiting) >= n_ahead:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+
+        yield mapped

@@ -20,7 +20,7 @@ from planners.arena import Arena
 from sensorgraph.building import training_data
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as command
-from sensorgraph.dask_client import connected
+from sensorgraph.dask_client import cluster_map, connected
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.localization import kept
 from sensorgraph.models.faces import reduction
@@ -122,8 +122,6 @@ def test_streamed_and_whole_give_the_same_bytes(path: Path, split: str | None, t
 @pytest.mark.usefixtures("small")
 def test_a_cluster_gives_the_same_bytes(run: Run, path: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install '.[dask]'")
-    from sensorgraph.building.dask_cluster import cluster
-
     other = tmp_path / "other.mcap"
     logs.write(replace(run, ranges=run.ranges + 0.001), other)
     plain = build([open_log(path), open_log(other)], names=["a", "b"])
@@ -131,7 +129,7 @@ def test_a_cluster_gives_the_same_bytes(run: Run, path: Path, tmp_path: Path) ->
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
         ) as local,
-        cluster(local.scheduler_address) as map_blocks,
+        cluster_map(local.scheduler_address) as map_blocks,
     ):
         graph = build([open_log(path), open_log(other)], names=["a", "b"], map_blocks=map_blocks)
     assert bytes_of(graph, tmp_path / "a") == bytes_of(plain, tmp_path / "b")

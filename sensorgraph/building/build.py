@@ -46,7 +46,7 @@ def build(
     model : A name in MODELS.
     names : Name of each run in messages and in the graph. None: the name of its file.
     split : `every10` or `block` hold out scans of each run. The graph records the split.
-    map_blocks : Function that reduces blocks of scans; `map` runs here. See `sensorgraph.building.dask_cluster`.
+    map_blocks : Function that reduces blocks of scans; `map` runs here. See `sensorgraph.dask_client.cluster_map`.
     update : A graph of faces or cells to which the runs are added; its own runs are not needed.
     force : Accept a run whose poses jump. False: refuse it, as the commands do.
     memory : Also identify how residuals depend on the previous scan and on neighbouring rays, for drawing

@@ -111,8 +111,8 @@ def build(
       sensorgraph build run.mcap --model narmax --lags 3 -o lagged.sensorgraph
     """
     from sensorgraph.building.build import build as build_graph
-    from sensorgraph.building.dask_cluster import cluster
     from sensorgraph.cli.inputs import check_output, check_runs, print_ray_order, read_options
+    from sensorgraph.dask_client import cluster_map
     from sensorgraph.graph import Sensorgraph
     from sensorgraph.loading import load_arena
     from sensorgraph.models import MODELS
@@ -130,7 +130,7 @@ def build(
     for path, log in zip(runs, loaded, strict=True):
         print_ray_order(str(path), log.head.sensor.bearings, first[0], first[1].bearings)
     _print_before_fit(list(zip(runs, loaded, strict=True)))
-    with cluster(dask) if dask is not None else nullcontext(map) as map_blocks:
+    with cluster_map(dask) if dask is not None else nullcontext(map) as map_blocks:
         graph = build_graph(
             loaded,
             arena=space,
