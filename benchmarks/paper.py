@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import heads, parser_of
-from benchmarks.drives import closed_loop, covered, robot_of_the_paper
+from benchmarks.places import closed_loop, covered, robot_of_the_paper
 from logs.run import Run, pair
 from planners.arena import Arena
 from planners.types import Floats

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.arguments import heads, parser_of
-from benchmarks.drives import closed_loop, covered, robot_of_the_paper
+from benchmarks.places import closed_loop, covered, robot_of_the_paper
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.building.build import build
