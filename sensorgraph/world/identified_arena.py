@@ -87,7 +87,7 @@ def _faces_of(graph: Sensorgraph) -> tuple[Faces, Floats, Floats]:
 def _walls(model: Faces) -> tuple[Floats, Floats]:
     """Return the ends (n, 2, 2) of all reliably observed stretches, with merged corners, and their normals."""
     faces = model.faces
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    owner = faces.owners
     at = np.flatnonzero(faces.levels > MAJORITY)
     joined = np.flatnonzero(
         (np.diff(at) == 1) & (owner[at[1:]] == owner[at[:-1]])
@@ -96,9 +96,7 @@ def _walls(model: Faces) -> tuple[Floats, Floats]:
     keep = faces.edges[stops] - faces.edges[starts] > MIN_WALL_LENGTH
     starts, stops = starts[keep], stops[keep]
     k = owner[starts]
-    foot = faces.normals[k] * faces.offsets[k, None]
-    tangents = faces.tangents[k]
-    ends = np.stack([foot + tangents * faces.edges[e][:, None] for e in (starts, stops)], axis=1)
+    ends = np.stack([faces.points(k, faces.edges[e]) for e in (starts, stops)], axis=1)
     flat = ends.reshape(-1, 2)
     _, group = _group_points(flat, MERGE_DISTANCE)
     total = np.zeros((group.max() + 1 if len(group) else 0, 2))

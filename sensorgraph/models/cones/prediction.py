@@ -16,7 +16,7 @@ from sensorgraph.types import Bools, Floats, Ints
 
 def visible_stretches(faces: FaceSet) -> tuple[Floats, Floats]:
     """Return the visible stretches (n, 5) as n_x, n_y, d, low, high, and the probability (n,) that each returns."""
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    owner = faces.owners
     at = np.flatnonzero(faces.levels > MIN_VISIBILITY)
     k = owner[at]
     table = (

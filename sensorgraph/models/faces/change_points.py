@@ -106,7 +106,7 @@ def sorted_crossings(
 def has_length(faces: FaceSet) -> Bools:
     """Return a mask (n_faces,) of the faces with a visible stretch of some length; corners may take all of a face."""
     stretches = (faces.levels[:-1] > MIN_VISIBILITY) & (np.diff(faces.edges) > MIN_LENGTH)
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))[:-1]
+    owner = faces.owners[:-1]
     return np.bincount(owner[stretches], minlength=faces.n_faces) > 0
 
 

@@ -27,7 +27,7 @@ def join_corners(faces: FaceSet, crossings: Crossings) -> FaceSet:
     edges, neighbour, blur = faces.edges.copy(), faces.neighbour.copy(), faces.blur.copy()
     neighbour[:] = -1
     ends, owners = _ends(faces)
-    places = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * edges[ends, None]
+    places = faces.points(owners, edges[ends])
     for e, k, p in zip(ends, owners, places, strict=True):
         best = (MAX_LOSS, -1, 0.0)
         for other, s in _intersections(faces, k, p):
@@ -52,7 +52,7 @@ def joined_visible(faces: FaceSet, crossings: Crossings) -> tuple[FaceSet, Cross
 
 def _ends(faces: FaceSet) -> tuple[Ints, Ints]:
     """Return the edges at which a visible stretch begins or ends, and their faces."""
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    owner = faces.owners
     after = faces.levels
     before = np.concatenate([[0.0], faces.levels[:-1]])
     before[faces.first[:-1]] = 0.0
@@ -98,7 +98,7 @@ def _with_sorted_edges(faces: FaceSet) -> FaceSet:
 
 def _without_empty_stretches(faces: FaceSet) -> FaceSet:
     """Merge both edges of each stretch that has no length, in faces that have some."""
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    owner = faces.owners
     empty = np.zeros(len(owner), dtype=np.bool_)
     empty[:-1] = (np.diff(faces.edges) <= MIN_LENGTH) & (owner[1:] == owner[:-1])
     empty &= has_length(faces)[owner]
@@ -129,9 +129,9 @@ def with_edge_errors(faces: FaceSet, sums: Floats) -> FaceSet:
     def variance_at(k: Ints, s: Floats) -> Floats:
         return np.asarray(1.0 / w[k] + (s - c[k]) ** 2 / sum_of_squares[k])
 
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    owner = faces.owners
     own_variance = variance_at(owner, faces.edges)
-    points = faces.normals[owner] * faces.offsets[owner, None] + faces.tangents[owner] * faces.edges[:, None]
+    points = faces.points(owner, faces.edges)
     adjacent = faces.neighbour
     sine = np.abs((faces.normals[owner] * faces.tangents[adjacent]).sum(axis=1))
     adjacent_variance = variance_at(adjacent, (faces.tangents[adjacent] * points).sum(axis=1))

@@ -61,6 +61,15 @@ class FaceSet(NamedTuple):
         """(n_faces, 2) unit vectors: n turned by +90°."""
         return np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
 
+    @property
+    def owners(self) -> Ints:
+        """(n_edges,) face of each edge."""
+        return np.repeat(np.arange(self.n_faces), np.diff(self.first))
+
+    def points(self, k: Ints, s: Floats) -> Floats:
+        """Return the places (n, 2) on the lines of faces k (n,) at abscissae s (n,)."""
+        return np.asarray(self.normals[k] * self.offsets[k, None] + self.tangents[k] * s[:, None])
+
 
 class March(NamedTuple):
     """Faces that a ray crosses, nearest first; arrays of length `CANDIDATE_SLOTS`."""
@@ -102,12 +111,12 @@ def bucket_grid(faces: FaceSet) -> BucketGrid:
     """
     if faces.n_faces == 0:
         return BucketGrid(np.zeros(2), (1, 1), np.zeros(2, dtype=np.intp), np.zeros(0, dtype=np.intp))
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    owner = faces.owners
     seen = faces.levels > MIN_VISIBILITY
     last = np.flatnonzero(seen)
     ends = np.concatenate([faces.edges[last], faces.edges[last + 1]])
     owners = np.concatenate([owner[last], owner[last]])
-    points = faces.normals[owners] * faces.offsets[owners, None] + faces.tangents[owners] * ends[:, None]
+    points = faces.points(owners, ends)
     if len(points) == 0:
         points = np.zeros((1, 2))
     origin = points.min(axis=0) - 2 * END_MARGIN - 0.01

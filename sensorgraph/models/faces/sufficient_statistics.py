@@ -96,7 +96,7 @@ class SufficientStatistics:
         Crossings next to edges are returned as they are; representatives of the others are spread evenly over their
         stretch. `slide` (n_faces,) [m] is added to the abscissae.
         """
-        owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+        owner = faces.owners
         at = np.flatnonzero(
             (self.reached > 2 * KEPT_CROSSINGS) & (np.arange(len(owner)) + 1 != faces.first[owner + 1])
         )

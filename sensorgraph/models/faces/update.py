@@ -128,9 +128,8 @@ def _with_new_faces(
 ) -> SufficientStatistics:
     """Return the statistics extended by new faces; old rays through their place count as passes."""
     new = binned_faces(lines)
-    owner = np.repeat(np.arange(new.n_faces), np.diff(new.first))
-    middle = new.edges + FIRST_BIN / 2
-    points = new.normals[owner] * new.offsets[owner, None] + new.tangents[owner] * middle[:, None]
+    owner = new.owners
+    points = new.points(owner, new.edges + FIRST_BIN / 2)
     beside = observed.cell * new.normals[owner]  # in the cells on both sides of the face
     passes = np.minimum(_rays_through(observed, points + beside), _rays_through(observed, points - beside))
     return replace(
@@ -169,7 +168,7 @@ def _merge_statistics(
     old: SufficientStatistics, new: SufficientStatistics, lines: Floats, faces: FaceSet, crossings: Crossings
 ) -> SufficientStatistics:
     """Add the statistics of old and new rays; stops and crossings are recounted for the new stretches."""
-    owner = np.repeat(np.arange(faces.n_faces), np.diff(faces.first))
+    owner = faces.owners
     stops, total = np.zeros(len(owner)), np.zeros(len(owner))
     for k in range(faces.n_faces):
         t, stop, weight, _ = crossings.at(k)

@@ -83,15 +83,12 @@ def mean_by_index(index: Ints, values: Floats, use: Bools, n: int) -> Floats:
 
 def visible_edges(model: Faces) -> tuple[Ints, Ints]:
     """Return the face (n,) and the first edge (n,) of every visible piece."""
-    owner = np.repeat(np.arange(model.faces.n_faces), np.diff(model.faces.first))
+    owner = model.faces.owners
     edge = np.flatnonzero(model.faces.levels > MIN_VISIBILITY)
     return owner[edge], edge
 
 
 def pieces_of(model: Faces, owner: Ints, low: Floats, high: Floats, values: Floats) -> FacePieces:
     """Return pieces from `low` to `high` (n,) [m] along the faces `owner` (n,)."""
-    faces = model.faces
-    foot = faces.normals[owner] * faces.offsets[owner, None]
-    along = faces.tangents[owner]
-    ends = np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1)
-    return FacePieces(ends=ends, normals=faces.normals[owner], values=values)
+    ends = np.stack([model.faces.points(owner, s) for s in (low, high)], axis=1)
+    return FacePieces(ends=ends, normals=model.faces.normals[owner], values=values)
