@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.arguments import existing, parser_of
 from benchmarks.places import write_map
 from logs import pair, read
+from logs.transforms import compose
 from planners.types import Floats
 
 MIN_PASS_THROUGH, OCCUPANCY = 2, 0.1
@@ -75,11 +76,7 @@ def main() -> None:
     poses = pairing.poses[kept]
     turn = np.abs(np.diff(np.unwrap(poses[:, 2]), prepend=poses[0, 2]))
     slow = turn < LONGEST_TURN
-    mount = log.sensor.mount
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    lasers = poses + np.stack(
-        [c * mount[0] - s * mount[1], s * mount[0] + c * mount[1], np.full(len(poses), mount[2])], axis=1
-    )
+    lasers = compose(poses, log.sensor.mount)
     grey, origin = grey_of(lasers[slow], log.ranges[kept][slow], log.sensor.bearings, CELL)
     print(
         f"{int(slow.sum())} of {len(kept)} scans, {int((grey == OCCUPIED).sum())} cells occupied, "
