@@ -25,6 +25,7 @@ from logs.ros.recording import (
 )
 from logs.run import Run, pair
 from logs.run_warnings import warnings_of
+from logs.sensor import usual_step
 from logs.sweep import sweep_line
 from logs.types import Floats, Mounts, Progress, ReadOptions
 from logs.usability import Ground, Use, advice, ground_of, no_use, uses_of
@@ -258,9 +259,8 @@ def _longest(stamps: Floats) -> float | None:
 
 
 def _rate(stamps: Floats) -> float | None:
-    steps = np.diff(stamps)
-    steps = steps[steps > 0]
-    return float(1.0 / np.median(steps)) if len(steps) else None
+    step = usual_step(stamps)
+    return 1.0 / step if step else None
 
 
 def _usable(run: Run) -> list[str]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.sensor import usual_step
 from logs.types import Floats, Ints
 
 
@@ -63,10 +64,7 @@ def find_jumps(
     if len(stamps) < 2:
         return None
     steps, moved = np.diff(stamps), np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    usual = (
-        float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    )  # a clock of whole seconds repeats
-    allowed = np.maximum(least, JUMP_LIMITS.speed * np.maximum(steps, usual))
+    allowed = np.maximum(least, JUMP_LIMITS.speed * np.maximum(steps, usual_step(stamps)))
     if not is_timed:
         allowed[:] = JUMP_LIMITS.untimed
     jumps = moved > allowed

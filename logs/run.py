@@ -61,13 +61,6 @@ def _empty(*shape: int) -> Floats:
     return np.zeros(shape, dtype=np.float64)
 
 
-def rate_of(stamps: Floats, otherwise: float = 10.0) -> float:
-    """Return the scan rate [Hz]: the inverse of the median positive step of the stamps (n,) [s]."""
-    steps = np.diff(stamps)
-    steps = steps[(steps > 1e-9) & np.isfinite(steps)]
-    return float(1.0 / np.median(steps)) if len(steps) else otherwise
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Run:
     """One recorded or simulated drive; every signal has its own stamps, in seconds from `epoch_ns`."""

@@ -9,6 +9,7 @@ from logs.jumps import JUMP_LIMITS, find_jumps
 from logs.notes import notes_of
 from logs.range_limits import median_text
 from logs.run import Run
+from logs.sensor import usual_step
 from logs.sweep import sweep_warnings
 from logs.transforms import interpolate, wrap
 from logs.types import ROUNDING
@@ -57,7 +58,7 @@ def _stamp_warnings(run: Run) -> list[str]:
         steps = np.diff(stamps)
         if len(steps) < 2:
             continue
-        period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        period = usual_step(stamps, 1.0)
         low, high = USUAL_PERIODS
         if name == "scan" and not low <= period <= high:
             out.append(f"a scan every {period:.3g} s: check that the stamps are in seconds")

@@ -23,6 +23,13 @@ def median_step(values: Floats | NDArray[np.int64], otherwise: float) -> float:
     return float(np.median(np.diff(values))) if len(values) > 1 else otherwise
 
 
+def usual_step(stamps: Floats | NDArray[np.int64], otherwise: float = 0.0) -> float:
+    """Return the median step of stamps (n,) that increase, in their unit, as a coarse clock repeats some; else `otherwise`."""
+    steps = np.diff(stamps)
+    steps = steps[(steps > 1e-9) & np.isfinite(steps)]
+    return float(np.median(steps)) if len(steps) else otherwise
+
+
 def _empty(*shape: int) -> Floats:
     return np.zeros(shape, dtype=np.float64)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.sensor import usual_step
 from logs.transforms import Stamps
 from logs.types import Floats
 
@@ -84,7 +85,7 @@ def forward(signals: Sequence[Signal], least: float) -> tuple[list[Signal], list
     back = np.flatnonzero(steps < -least * 1e9)
     if len(back) == 0:
         return list(signals), []
-    period = int(np.median(steps[steps > 0])) if (steps > 0).any() else 0
+    period = int(usual_step(fastest.logged))
     jumps = period - steps[back]  # (n_back,) [ns]
     out = []
     for signal in signals:

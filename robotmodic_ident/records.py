@@ -49,14 +49,19 @@ class Record:
     def __len__(self) -> int:
         return len(next(iter(self.signals.values())))
 
+    @property
+    def longest_step(self) -> float | None:
+        """[s] maximum time between two samples of a segment; None without stamps."""
+        if self.max_gap is not None or self.stamps is None or len(self) < 2:
+            return self.max_gap
+        return 1.5 * float(np.median(np.diff(self.stamps)))
+
     def segments(self) -> list[slice]:
         """Return the segments between time gaps."""
-        n = len(self)
-        if self.stamps is None or n < 2:
+        n, longest = len(self), self.longest_step
+        if self.stamps is None or longest is None or n < 2:
             return [slice(0, n)]
-        steps = np.diff(self.stamps)
-        max_gap = self.max_gap if self.max_gap is not None else 1.5 * float(np.median(steps))
-        cuts = [0, *(np.flatnonzero(steps > max_gap) + 1).tolist(), n]
+        cuts = [0, *(np.flatnonzero(np.diff(self.stamps) > longest) + 1).tolist(), n]
         return [slice(a, b) for a, b in pairwise(cuts)]
 
 
@@ -123,13 +128,10 @@ def blocks(record: Record | Mapping[str, Floats], n: int) -> list[Record]:
 
 def cut(record: Record, piece: slice) -> Record:
     """Return a section of a record with the same maximum gap."""
-    gap = record.max_gap
-    if gap is None and record.stamps is not None and len(record) > 1:
-        gap = 1.5 * float(np.median(np.diff(record.stamps)))
     return Record(
         signals={name: np.asarray(values)[piece] for name, values in record.signals.items()},
         stamps=None if record.stamps is None else record.stamps[piece],
-        max_gap=gap,
+        max_gap=record.longest_step,
     )
 
 

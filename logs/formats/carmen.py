@@ -15,13 +15,14 @@ import numpy as np
 
 from logs.error_codes import blank_error_codes
 from logs.errors import LogError
-from logs.formats.carmen_clock import CarmenClock, read_clock
+from logs.formats.carmen_clock import ASSUMED_PERIOD, CarmenClock, read_clock
 from logs.formats.carmen_lines import SCAN_KEYWORDS, ParsedLines, ScanLine, parse_lines
 from logs.formats.text import read_lines
 from logs.intensities import is_varied
 from logs.no_return import decode
 from logs.resampling import resample, resampled_text, take_nearest
-from logs.run import PoseFrame, RangeSensor, Run, rate_of
+from logs.run import PoseFrame, RangeSensor, Run
+from logs.sensor import usual_step
 from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import Floats, ReadOptions
 
@@ -87,7 +88,7 @@ def read(path: Path, how: ReadOptions) -> Run:
             range_max=limits,
             mount=mount,
             resolution=_resolution(ranges),
-            rate=rate_of(stamps[order]),
+            rate=1.0 / usual_step(stamps[order], ASSUMED_PERIOD),
         ),
         stamps=stamps[order],
         ranges=ranges[order],

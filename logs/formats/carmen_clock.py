@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.sensor import usual_step
 from logs.types import Floats
 
 # conventions, not fitted to data
@@ -114,7 +115,7 @@ def _monotone(stamps: Floats) -> Floats:
     from scipy.optimize import isotonic_regression
 
     steps = np.diff(stamps)
-    steps[steps < -RESTART] = np.median(steps[steps > 0]) if (steps > 0).any() else ASSUMED_PERIOD
+    steps[steps < -RESTART] = usual_step(stamps, ASSUMED_PERIOD)
     whole = np.concatenate([stamps[:1], stamps[0] + np.cumsum(steps)])
     levels, which, counts = np.unique(isotonic_regression(whole).x, return_inverse=True, return_counts=True)
     edges = np.concatenate([levels[:1], (levels[1:] + levels[:-1]) / 2, levels[-1:]])

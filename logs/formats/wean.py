@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
+from logs.formats.carmen_clock import ASSUMED_PERIOD
 from logs.formats.text import read_lines
 from logs.no_return import mask
-from logs.run import RangeSensor, Run, rate_of
+from logs.run import RangeSensor, Run
+from logs.sensor import usual_step
 from logs.transforms import compose, invert, twists_of, wrap
 from logs.types import ReadOptions
 
@@ -75,7 +77,7 @@ def read(path: Path, how: ReadOptions) -> Run:
             range_max=NO_RETURN_RANGE if code is not None else float(np.nanmax(ranges[np.isfinite(ranges)])),
             mount=np.asarray(np.median(compose(invert(robot), laser), axis=0)),
             resolution=0.01,
-            rate=rate_of(stamps),
+            rate=1.0 / usual_step(stamps, ASSUMED_PERIOD),
         ),
         stamps=stamps,
         ranges=ranges,
