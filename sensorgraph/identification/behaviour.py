@@ -12,25 +12,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from logs.run import Run, pair
 from planners.arena import Arena
 from planners.coverage import CELL
-from robotmodic_ident.analysis import correlation_dimension
+from robotmodic_ident.analysis import correlation_dimension, lyapunov_of_series
 from robotmodic_ident.errors import IdentError
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Floats
 
 SAMPLE_STEP = 0.5  # [s] between samples of the embedded track
-EMBEDDING_DIMENSION = 4  # delays of the embedding, EMBEDDING_DELAY apart
-EMBEDDING_DELAY = 2.0  # [s]
-THEILER_WINDOW = 20.0  # [s] neighbours closer in time belong to the same visit
+EMBEDDING: dict[str, Any] = {
+    "dimension": 4,
+    "lag": round(2.0 / SAMPLE_STEP),
+    "theiler": round(20.0 / SAMPLE_STEP),
+}
+"""Four delays of 2 s; neighbours within 20 s belong to the same visit."""
 DIVERGENCE_HORIZON = 8.0  # [s] over which the distance of neighbours is followed
 N_REFERENCES = 1000  # points whose neighbours are counted for the dimension
-MIN_SAMPLES = 200  # minimum number of samples for an exponent
+MIN_PAIRS = 100  # of neighbours, for an exponent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,42 +114,32 @@ def _means(stamps: Floats, poses: Floats) -> Floats:
 
 
 def lyapunov(stamps: Floats, track: Floats) -> float | None:
-    """Estimate the largest Lyapunov exponent [1/s] of a track (n, 2) [m] at stamps (n,) [s].
+    """Estimate the largest Lyapunov exponent [1/s] of a track (n, 2) [m] at stamps (n,) [s]; None if it is too short.
 
     The track is embedded by delays. For each point, the distance to its nearest neighbour of another visit is followed
     over `DIVERGENCE_HORIZON`. The exponent is the slope of the mean log distance over time (Rosenstein 1993).
     """
-    t, xy = _evenly(stamps, track)
-    lag, ahead = round(EMBEDDING_DELAY / SAMPLE_STEP), round(DIVERGENCE_HORIZON / SAMPLE_STEP)
-    n = len(t) - (EMBEDDING_DIMENSION - 1) * lag
-    if n - ahead < MIN_SAMPLES:
+    try:
+        found = lyapunov_of_series(
+            _evenly(stamps, track)[1],
+            **EMBEDDING,
+            fit=(0, round(DIVERGENCE_HORIZON / SAMPLE_STEP)),
+            period=SAMPLE_STEP,
+        )
+    except IdentError:
         return None
-    embedded = np.concatenate([xy[i * lag : i * lag + n] for i in range(EMBEDDING_DIMENSION)], axis=1)
-    start = np.arange(n - ahead)
-    tree = cKDTree(embedded[start])
-    near, index = (np.asarray(part) for part in tree.query(embedded[start], k=min(64, len(start))))
-    other = np.abs(index - start[:, None]) * SAMPLE_STEP > THEILER_WINDOW
-    found = other.any(axis=1) & (np.take_along_axis(near, other.argmax(axis=1)[:, None], axis=1)[:, 0] > 1e-6)
-    mine = start[found]
-    theirs = np.take_along_axis(index, other.argmax(axis=1)[:, None], axis=1)[found, 0]
-    if len(mine) < MIN_SAMPLES // 2:
-        return None
-    steps = np.arange(ahead)
-    gaps = np.linalg.norm(embedded[mine[:, None] + steps] - embedded[theirs[:, None] + steps], axis=2)
-    mean = np.log(np.maximum(gaps, 1e-6)).mean(axis=0)
-    return float(np.polyfit(steps * SAMPLE_STEP, mean, 1)[0])
+    return found.exponent if found.n_pairs >= MIN_PAIRS else None
 
 
 def track_dimension(stamps: Floats, track: Floats) -> tuple[float | None, float | None, float | None]:
     """Return the correlation dimension of a track (n, 2) [m] at stamps (n,) [s], and its 95 % interval.
 
-    The track is embedded as for the exponent. Pairs closer in time than `THEILER_WINDOW` do not count.
+    The track is embedded as for the exponent. Pairs of the same visit do not count.
     """
     _, xy = _evenly(stamps, track)
     try:
         found = correlation_dimension(
-            xy, dimension=EMBEDDING_DIMENSION, lag=round(EMBEDDING_DELAY / SAMPLE_STEP), theiler=round(THEILER_WINDOW / SAMPLE_STEP),
-            n_reference=N_REFERENCES, rng=np.random.default_rng(0),
+            xy, **EMBEDDING, n_reference=N_REFERENCES, rng=np.random.default_rng(0)
         )  # fmt: skip
     except IdentError:  # too short, or almost at rest
         return None, None, None
