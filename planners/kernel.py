@@ -19,13 +19,15 @@ from planners.uninterrupted import uninterrupted
 logger = logging.getLogger(__name__)
 Function = TypeVar("Function", bound=Callable[..., object])
 KNOWN = dir(getattr(getattr(numba.core, "options", None), "DefaultOptions", None))
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}  # x / 0 is inf, as in numpy
+OPTIONS |= dict.fromkeys({"no_cfunc_wrapper"} & set(KNOWN), True)  # no entry from C: a tenth of compiling
 LEAN = dict.fromkeys({"_nrt"} & set(KNOWN), False)  # no reference counting; private to numba
 
 
 def kernel(function: Function, **options: Any) -> Function:
-    """Compile a function on its first call and cache the result on disk; x / 0 is inf, as in numpy."""
+    """Compile a function on its first call and cache the result on disk."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
-    compiled: Any = numba.njit(cache=can_cache(), error_model="numpy", nogil=True, **options)(function)
+    compiled: Any = numba.njit(cache=can_cache(), **OPTIONS, **options)(function)
     compile_ = compiled.compile  # Ctrl-C is deferred, because it would crash LLVM
     compiled.compile = lambda types: uninterrupted(lambda: compile_(types))
     generalise_calls(compiled)
@@ -40,7 +42,7 @@ def outer_kernel(function: Function) -> Function:
 def inner_kernel(function: Function, **options: Any) -> Function:
     """Compile a function like `outer_kernel` where kernels call it; called from Python, it is a Python function."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
-    return register_jitable(cache=can_cache(), error_model="numpy", nogil=True, **LEAN, **options)(function)
+    return register_jitable(cache=can_cache(), **OPTIONS, **LEAN, **options)(function)
 
 
 def inlined_kernel(function: Function) -> Function:

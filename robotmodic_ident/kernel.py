@@ -16,12 +16,15 @@ from robotmodic_ident.source_stamp import source_stamp
 from robotmodic_ident.uninterrupted import uninterrupted
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+KNOWN = dir(getattr(getattr(numba.core, "options", None), "DefaultOptions", None))
+OPTIONS: dict[str, Any] = {"error_model": "numpy"}  # x / 0 is inf, as in numpy
+OPTIONS |= dict.fromkeys({"no_cfunc_wrapper"} & set(KNOWN), True)  # no entry from C: a tenth of compiling
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on its first call and cache the result on disk; x / 0 is inf, as in numpy."""
+    """Compile a function on its first call and cache the result on disk."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
-    compiled: Any = numba.njit(cache=_can_cache(), error_model="numpy")(function)
+    compiled: Any = numba.njit(cache=_can_cache(), **OPTIONS)(function)
     compile_ = compiled.compile  # Ctrl-C is deferred, because it would crash LLVM
     compiled.compile = lambda types: uninterrupted(lambda: compile_(types))
     return cast(Function, compiled)
@@ -30,7 +33,7 @@ def kernel(function: Function) -> Function:
 def inner_kernel(function: Function) -> Function:
     """Compile a function where kernels call it, without a Python wrapper; called from Python, it runs as Python."""
     function.__qualname__ += f".{source_stamp(function.__module__)}"
-    return register_jitable(cache=_can_cache(), error_model="numpy")(function)
+    return register_jitable(cache=_can_cache(), **OPTIONS)(function)
 
 
 @cache

@@ -130,7 +130,7 @@ WITHOUT_PRIVATE_OPTIONS = """
 import numba.core.cpu as cpu
 import numba.core.options as options
 for kind in (options.DefaultOptions, *cpu.CPUTargetOptions.__mro__):
-    for name in [name for name in vars(kind) if name == "_nrt"]:
+    for name in [name for name in vars(kind) if name in ("_nrt", "no_cfunc_wrapper")]:
         delattr(kind, name)
 """
 
@@ -145,6 +145,19 @@ def test_kernels_that_pass_a_constant_or_any_signed_integer_call_one_compiled_ke
     for kind in (types.literal(1), types.int32, types.int64):
         called.get_call_template((kind,), {})
     assert called.signatures == [(types.int64,)]
+
+
+def test_kernels_have_no_entry_from_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody calls them from C, and to compile the entry takes a tenth of the time."""
+    monkeypatch.setattr("planners.kernel.can_cache", lambda: False)  # kept code cannot be inspected
+
+    def halved(x: int) -> float:
+        return x / 2
+
+    compiled = cast(Any, kernel(halved))
+    assert compiled(3) == 1.5
+    (code,) = compiled.inspect_llvm().values()
+    assert "cpython" in code and "cfunc" not in code
 
 
 @pytest.mark.slow
