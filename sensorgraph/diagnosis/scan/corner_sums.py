@@ -27,7 +27,7 @@ from math import atan2, erfc, hypot, pi, sqrt
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from planners.types import SAME_PLACE
 from sensorgraph.types import Bools, Floats, Ints
 
@@ -65,12 +65,13 @@ def corner_sums(
     (n_scans, 3, 2 count), (k, 2 count), (2 count, 2 count), (2 count,)
     """
     packed = np.ascontiguousarray(ends)  # the kernel is compiled for this layout
-    with_pose, by_wall, square = _by_wall(w, rows, packed, wall, y, normals, corners, count)
+    with_pose = np.zeros((len(w), 3, 2 * count))
+    by_wall, square = np.zeros((rows.shape[1] - 2, 2, len(normals))), np.zeros((2, 2, len(normals)))
+    _by_wall(w, rows, packed, wall, y, normals, corners, with_pose, by_wall, square)
     with_column, with_corner = _by_corner(by_wall, square, normals, corners, count)
     return with_pose, with_column[:-1], with_corner, with_column[-1]
 
 
-@kernel
 def _by_corner(
     by_wall: Floats, square: Floats, normals: Floats, corners: Ints, count: int
 ) -> tuple[Floats, Floats]:
@@ -78,22 +79,17 @@ def _by_corner(
 
     Returns those with columns (k + 1, 2 count) and with each other (2 count, 2 count).
     """
-    with_column = np.zeros((len(by_wall), 2 * count))
+    with_column = np.zeros((2 * count, len(by_wall)))
     with_corner = np.zeros((2 * count, 2 * count))
-    for at in range(len(normals)):
-        for e in range(2):
-            for d in range(2):
-                column = 2 * corners[at, e] + d
-                for j in range(len(by_wall)):
-                    with_column[j, column] += by_wall[j, e, at] * normals[at, d]
-                for f in range(2):
-                    for c in range(2):
-                        other = 2 * corners[at, f] + c
-                        with_corner[column, other] += square[e, f, at] * normals[at, d] * normals[at, c]
-    return with_column, with_corner
+    at = 2 * corners[..., None] + np.arange(2)  # (n_walls, 2, 2): column by end and axis
+    n = normals[:, None, :, None]
+    np.add.at(with_column, at, by_wall.T[:, :, None] * n)  # (n_walls, end, axis, k + 1)
+    products = square.T.swapaxes(1, 2)[:, :, None, :, None] * n[..., None] * normals[:, None, None, None]
+    np.add.at(with_corner, (at[..., None, None], at[:, None, None]), products)  # over end, axis, end, axis
+    return np.ascontiguousarray(with_column.T), with_corner
 
 
-@kernel
+@outer_kernel
 def _by_wall(
     w: Floats,
     rows: Floats,
@@ -102,17 +98,16 @@ def _by_wall(
     y: Floats,
     normals: Floats,
     corners: Ints,
-    count: int,
-) -> tuple[Floats, Floats, Floats]:
-    """Return the products of corner shifts with poses, and by wall end with columns and each other.
+    with_pose: Floats,
+    by_wall: Floats,
+    square: Floats,
+) -> None:
+    """Add up the products of corner shifts with poses, and by wall end with columns and each other.
 
     Shapes: (n_scans, 3, 2 count); (k + 1, 2, n_walls), whose last row is the product with residuals; (2, 2, n_walls).
     """
     n_scans, n_rays = w.shape
-    k, n_walls = rows.shape[1] - 3, len(normals)
-    with_pose = np.zeros((n_scans, 3, 2 * count))
-    by_wall = np.zeros((k + 1, 2, n_walls))
-    square = np.zeros((2, 2, n_walls))
+    k = rows.shape[1] - 3
     for i in range(n_scans):
         for m in range(n_rays):
             if w[i, m] == 0.0:
@@ -133,7 +128,6 @@ def _by_wall(
                 if value != 0.0:
                     by_wall[j, 0, wall[i, m]] += value * ends[0, i, m]
                     by_wall[j, 1, wall[i, m]] += value * ends[1, i, m]
-    return with_pose, by_wall, square
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -215,7 +209,6 @@ class Corners:
         return cls(ends=index, count=n_met + 1, rest=n_met)
 
 
-@kernel
 def corners_between_rays(
     corners: Floats,
     walls: Floats,
@@ -248,9 +241,29 @@ def corners_between_rays(
     -------
     Probability (n_scans, n_rays) of the most likely corner, at most 1/2, and its range [m], nan without a corner
     """
+    chance, met = np.zeros(ranges.shape), np.full(ranges.shape, np.nan)
+    _find_corners(corners, walls, rays, ranges, wall, pairs, first, is_full_turn, blur, least, chance, met)
+    return chance, met
+
+
+@outer_kernel
+def _find_corners(
+    corners: Floats,
+    walls: Floats,
+    rays: tuple[Floats, Floats, Floats, Floats],
+    ranges: Floats,
+    wall: Ints,
+    pairs: tuple[Ints, Ints],
+    first: Floats,
+    is_full_turn: bool,
+    blur: tuple[float, float],
+    least: float,
+    chance: Floats,
+    met: Floats,
+) -> None:
+    """Enter probability and range of the most likely corner of each ray, as of `corners_between_rays`."""
     ox, oy, ux, uy = rays
     rights, lefts = pairs
-    chance, met = np.zeros(ranges.shape), np.full(ranges.shape, np.nan)
     for i in range(len(ranges)):
         for c in range(len(corners)):
             x, y = corners[c]
@@ -276,7 +289,6 @@ def corners_between_rays(
                 is_before_both = r < ranges[i, rights[at]] and r < ranges[i, lefts[at]]
                 if is_before_both or _is_in_sight(walls, ox[i, ray], oy[i, ray], dx, dy):
                     chance[i, ray], met[i, ray] = likely, ahead
-    return chance, met
 
 
 @inner_kernel
@@ -295,10 +307,15 @@ def _pair_around(
     """Return the index of the pair of rays around a place; -1 without one."""
     dx, dy, c, s = x - ox[rights[0]], y - oy[rights[0]], ux[rights[0]], uy[rights[0]]
     angle = atan2(c * dy - s * dx, c * dx + s * dy) % TURN
-    at, step = int(np.searchsorted(first, angle, side="right")) - 1, 0
-    for _ in range(
-        len(rights)
-    ):  # the rays of a robot that turns during the sweep deviate from their bearings
+    at, beyond, step = 0, len(first), 0
+    while beyond - at > 1:  # bisection; np.searchsorted would compile for half a second
+        middle = (at + beyond) // 2
+        if first[middle] <= angle:
+            at = middle
+        else:
+            beyond = middle
+    # the rays of a robot that turns during the sweep deviate from their bearings
+    for _ in range(len(rights)):
         right, left = rights[at], lefts[at]
         if ux[right] * (y - oy[right]) - uy[right] * (x - ox[right]) < 0.0:
             move = -1

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.kernel import inlined_kernel, kernel
+from planners.kernel import inlined_kernel, outer_kernel
 from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE, REACH, Edges
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -139,7 +139,8 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
     shift : (n_scans, n_rays) [m] Contribution of nuisances and effects to the expected readings.
     """
     z, sensor = data.ranges, data.sensor
-    found = mixture(
+    found = np.zeros((7, z.size))
+    mixture(
         z.ravel(),
         (expected.reading + shift).ravel(),
         (noise.core * expected.sigma).ravel(),
@@ -156,7 +157,9 @@ def e_step(data: ScanData, expected: ExpectedReadings, shift: Floats, noise: Bea
         (float(noise.tail), float(noise.loss), float(noise.stray), float(expected.stray)),
         (float(expected.short), SETTINGS.lost_at_edge, SETTINGS.unexplained),
         SETTINGS.tail_width,
-    ).reshape(7, *z.shape)
+        found,
+    )
+    found = found.reshape(7, *z.shape)
     return Responsibilities(
         log_p=found[LOG_P],
         weight=found[WEIGHT],
@@ -253,7 +256,7 @@ def _density_at_edge(reading: float, expected: float, there: float, s: float, s_
     return EDGE_NEAR * near + EDGE_BETWEEN * flat
 
 
-@kernel
+@outer_kernel
 def mixture(
     z: Floats,
     mu: Floats,
@@ -266,8 +269,9 @@ def mixture(
     noise: tuple[float, float, float, float],
     chances: tuple[float, float, float],
     tail_width: float,
-) -> Floats:
-    """Return the log-likelihood and the responsibilities of n readings.
+    out: Floats,
+) -> None:
+    """Fill in the log-likelihood and the responsibilities of n readings.
 
     Parameters
     ----------
@@ -279,10 +283,7 @@ def mixture(
     noise : Shares of the tail, of missing returns and of outliers; then the share of outliers that effects add.
     chances : Probabilities of a short reading, of a missing one next to an edge, and of one that no component explains.
     tail_width : Ratio of the standard deviation of the tail to that of the core.
-
-    Returns
-    -------
-    (7, n) LOG_P [nats], WEIGHT [1/m²], RESIDUAL [m], and the posterior probabilities CORE, TAIL, LOST and STRAY
+    out : (7, n), zeros at first: LOG_P [nats], WEIGHT [1/m²], RESIDUAL [m], and the posterior probabilities CORE, TAIL, LOST and STRAY
     """
     nearest, farthest, cell, lattice = limits
     share, loss, stray_noise, stray_effect = noise
@@ -290,7 +291,6 @@ def mixture(
     stray = 1 - (1 - stray_effect) * (1 - stray_noise)
     rest = (1 - stray) * (1 - short)
     p_stray = stray / farthest
-    out = np.zeros((7, len(z)))
     for k in range(len(z)):
         reading, expected, s, there, at_edge = z[k], mu[k], sigma[k], alternative[k], p_alternative[k]
         if math.isnan(reading):
@@ -333,4 +333,3 @@ def mixture(
                     too_near += at_edge * _normal_cdf((nearest - there) / s_there)
                 total = rest * too_near + 0.5 * gone + unexplained
         out[LOG_P, k] = math.log(total)
-    return out

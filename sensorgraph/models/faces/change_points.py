@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planners.groups import members
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.faces.blurred_edges import Outcomes, blur_edges
 from sensorgraph.models.faces.ray_march import MIN_LENGTH, MIN_VISIBILITY, FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
@@ -88,10 +88,14 @@ def crossings_of(
 ) -> Crossings:
     """List the crossings of rays with faces; the errors of refined poses `pose_errors` [m, rad] add to the noise."""
     xy, yaw = np.hypot([noise.sigma_xy, noise.sigma_yaw], pose_errors)
-    face, t, stop, weight, error = _list_crossings(
-        rays.arrays, faces, bucket_grid(faces), noise.array, xy**2, yaw**2, new_stop_work()
-    )
-    return sorted_crossings(face, t, stop, weight, error, faces.n_faces)
+    buckets, work, n, size = bucket_grid(faces), new_stop_work(), 3 * len(rays) + 64, 0
+    while n > size:  # the first size is rarely too small: a ray crosses fewer than three faces on average
+        size = n
+        face: Any = np.empty(size, np.int32)
+        rows = np.empty((4, size))
+        n = _list_crossings(rays.arrays, faces, buckets, noise.array, xy**2, yaw**2, work, face, rows)
+    t, stop, weight, error = rows[:, :n]
+    return sorted_crossings(face[:n], t, stop, weight, error, faces.n_faces)
 
 
 def sorted_crossings(
@@ -139,14 +143,22 @@ def joined_faces(a: FaceSet, b: FaceSet) -> FaceSet:
     )  # fmt: skip
 
 
-@kernel
+@outer_kernel
 def _list_crossings(
-    rays: Any, faces: Any, buckets: Any, noise: Any, var_xy: Any, var_yaw: Any, work: Any
+    rays: Any,
+    faces: Any,
+    buckets: Any,
+    noise: Any,
+    var_xy: Any,
+    var_yaw: Any,
+    work: Any,
+    face: Any,
+    rows: Any,
 ) -> Any:
-    """List all crossings: face, abscissa, P(stop | reached), P(reached) times the ray's weight, standard error."""
-    size = 3 * len(rays.ranges) + 64
-    face, rows = np.empty(size, np.int32), np.empty((4, size))
-    at, stop, weight, error = rows[0], rows[1], rows[2], rows[3]
+    """List crossings as far as there is memory for them, and return how many there are.
+
+    Fills `face`, and `rows` (4, n): abscissa, P(stop | reached), P(reached) times the ray's weight, standard error.
+    """
     normals, weights = faces[0], rays.weights
     march, gamma, survive = work
     r, k, _, t = march
@@ -158,20 +170,16 @@ def _list_crossings(
         for m in range(n):
             if survive[m] < MIN_REACHED:
                 continue
-            if count == size:
-                size *= 2
-                more_faces, more = np.empty(size, np.int32), np.empty((4, size))
-                for c in range(count):
-                    more_faces[c] = face[c]
-                    more[0, c], more[1, c], more[2, c], more[3, c] = at[c], stop[c], weight[c], error[c]
-                face, at, stop, weight, error = more_faces, more[0], more[1], more[2], more[3]
-            face[count], at[count] = k[m], t[m]
-            den = normals[k[m], 0] * rays.directions[i, 0] + normals[k[m], 1] * rays.directions[i, 1]
-            error[count] = np.sqrt((var_xy + r[m] * r[m] * var_yaw) / max(den * den, MIN_SQUARED_COSINE))
-            stop[count] = min(gamma[m] / survive[m], 1.0)
-            weight[count] = survive[m] * (weights[i] if len(weights) else 1.0)
             count += 1
-    return face[:count], at[:count], stop[:count], weight[:count], error[:count]
+            if count > len(face):
+                continue
+            c = count - 1
+            face[c], rows[0, c] = k[m], t[m]
+            den = normals[k[m], 0] * rays.directions[i, 0] + normals[k[m], 1] * rays.directions[i, 1]
+            rows[3, c] = np.sqrt((var_xy + r[m] * r[m] * var_yaw) / max(den * den, MIN_SQUARED_COSINE))
+            rows[1, c] = min(gamma[m] / survive[m], 1.0)
+            rows[2, c] = survive[m] * (weights[i] if len(weights) else 1.0)
+    return count
 
 
 def _stretches(crossings: Outcomes) -> tuple[Floats, Floats, Floats]:
@@ -220,33 +228,36 @@ def _cost(s: Any, w: Any) -> Any:
     return -s * np.log(p) - (w - s) * np.log(1 - p)
 
 
-@kernel
-def _partition(stop: Any, weight: Any, penalty: Any) -> Any:
-    """Partition outcomes by dynamic programming; return the first crossing of every stretch and the number n.
+def _partition(stop: Floats, weight: Floats, penalty: float) -> Ints:
+    """Partition outcomes; return the first crossing of every stretch and the number of crossings."""
+    whole, real = np.zeros((4, len(stop) + 1), np.int64), np.zeros((4, len(stop) + 1))
+    n = _cut(stop, weight, penalty, whole, real)
+    return whole[0, :n][::-1]
+
+
+@outer_kernel
+def _cut(stop: Any, weight: Any, penalty: Any, whole: Any, real: Any) -> Any:
+    """Partition n outcomes by dynamic programming; return the number of cuts, which whole[0] holds from n down to 0.
 
     F(a) + C(a, b) never falls with b, so its last value is a bound that excludes most starts a. A start is dropped where
     this exceeds F(b): to start at b is then better for every later end (PELT, Killick et al. 2012). Both hold up to the
-    effect of the priors on C, which is below `PRIOR_CROSSINGS`.
+    effect of the priors on C, which is below `PRIOR_CROSSINGS`. `whole` and `real` (4, n + 1) are memory of zeros.
     """
-    n = len(stop)
-    starts = np.empty(n + 1, np.int64)  # of runs of equal outcome; edges lie between runs
-    n_runs = 0
+    cuts, starts, since, open_ = whole  # starts: of runs of equal outcome; edges lie between runs
+    ones, all_, best, so_far = real
+    n, n_runs = len(stop), 0
     for i in range(n):
         if i == 0 or (stop[i] > 0.5) != (stop[i - 1] > 0.5):
             starts[n_runs] = i
             n_runs += 1
     starts[n_runs] = n
-    ones, all_ = np.zeros(n_runs + 1), np.zeros(n_runs + 1)
     for a in range(n_runs):
         s, w = 0.0, 0.0
         for i in range(starts[a], starts[a + 1]):
             s += stop[i] * weight[i]
             w += weight[i]
         ones[a + 1], all_[a + 1] = ones[a] + s, all_[a] + w
-    best, since = np.empty(n_runs + 1), np.zeros(n_runs + 1, np.int64)
-    best[0] = -penalty
-    open_, so_far, n_open = np.empty(n_runs + 1, np.int64), np.empty(n_runs + 1), 1
-    open_[0], so_far[0] = 0, -penalty
+    best[0], open_[0], so_far[0], n_open = -penalty, 0, -penalty, 1
     for b in range(1, n_runs + 1):
         first = since[b - 1]  # likely the best start again
         best[b] = np.inf
@@ -266,11 +277,10 @@ def _partition(stop: Any, weight: Any, penalty: Any) -> Any:
             n_kept += so_far[m] < best[b] + PRIOR_CROSSINGS
         open_[n_kept], so_far[n_kept] = b, best[b]
         n_open = n_kept + 1
-    cuts = np.empty(n_runs + 1, np.int64)
     m, b = 0, n_runs
     while b > 0:
         cuts[m] = starts[b]
         m += 1
         b = since[b]
     cuts[m] = 0
-    return cuts[: m + 1][::-1]
+    return m + 1

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.cells.grid import traverse
 from sensorgraph.models.faces.settings import FACES
 from sensorgraph.types import Bools, Floats
@@ -49,7 +49,9 @@ class ObservedSpace:
         counts = np.zeros((int(shape[0]), int(shape[1])), dtype=np.uint8)
         free = np.zeros(counts.shape, dtype=np.bool_)
         marks_free = np.ones(len(reach), dtype=np.bool_) if returned is None else returned
-        _count_rays(origins, directions, reach, marks_free, corner, cell, counts, free)
+        most = sum(counts.shape)  # a ray crosses no more cells of the grid
+        work = np.empty((most, 2), np.int64), np.empty(most)
+        _count_rays(origins, directions, reach, marks_free, corner, cell, counts, free, work)
         return cls(origin=corner, cell=cell, counts=counts, free=free)
 
     def with_missing(self, ranges: Floats, range_max: float) -> ObservedSpace:
@@ -154,12 +156,13 @@ def is_ray_observed(
             return False
 
 
-@kernel
+@outer_kernel
 def _count_rays(
-    origins: Any, directions: Any, reach: Any, marks_free: Any, origin: Any, cell: Any, counts: Any, free: Any
-) -> Any:
+    origins: Any, directions: Any, reach: Any, marks_free: Any, origin: Any, cell: Any, counts: Any, free: Any,
+    work: Any,
+) -> Any:  # fmt: skip
     nx, ny = counts.shape
-    at, ends = np.empty((nx + ny, 2), np.int64), np.empty(nx + ny)  # a ray crosses no more cells of the grid
+    at, ends = work
     for k in range(len(reach)):
         x, y = origins[k, 0] - origin[0], origins[k, 1] - origin[1]
         n = traverse(x, y, directions[k, 0], directions[k, 1], reach[k], cell, at, ends)

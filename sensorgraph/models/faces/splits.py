@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.ray_march import MIN_LENGTH, FaceSet, bucket_grid
 from sensorgraph.models.faces.settings import FACES
@@ -27,7 +27,9 @@ MIN_HITS = int(FACES.later_lines.min_hits)
 
 def split_bent_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> Lines:
     """Return the lines of all faces; faces whose hits bend or step are divided into two or more lines."""
-    face, s, across, weight = _hits(rays.arrays, faces, bucket_grid(faces), noise.array, new_stop_work())
+    face, hits = np.empty(len(rays), np.int32), np.empty((3, len(rays)))
+    n = _list_hits(rays.arrays, faces, bucket_grid(faces), noise.array, new_stop_work(), face, hits)
+    face, (s, across, weight) = face[:n], hits[:, :n]
     order = np.lexsort((s, face))
     face, s, across, weight = face[order], s[order], across[order], weight[order]
     bounds = np.searchsorted(face, np.arange(faces.n_faces + 1))
@@ -110,14 +112,14 @@ def _explained(m: Floats) -> Floats:
     return np.asarray(m[3] * m[3] / total + sxy * sxy / sxx)
 
 
-@kernel
-def _hits(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any) -> Any:
-    """List all hits: face, abscissa of the end point, distance from the face [m], 1 / variance of that distance."""
-    n_rays = len(rays.ranges)
-    face, at = np.empty(n_rays, np.int32), np.empty(n_rays)
-    off, weight = np.empty(n_rays), np.empty(n_rays)
+@outer_kernel
+def _list_hits(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any, face: Any, hits: Any) -> Any:
+    """List all hits, and return their number.
+
+    Fills `face`, and `hits` (3, n): abscissa of the end point, distance from the face [m], 1 / variance of that distance.
+    """
     count = 0
-    for i in range(n_rays):
+    for i in range(len(rays.ranges)):
         if rays.ranges[i] > 1e300:
             continue
         n, _, _ = stop_probabilities(i, rays, faces, buckets, noise, work)
@@ -127,7 +129,8 @@ def _hits(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any) -> Any:
             is_hit, den, t_u, e, var = hit_of(m, i, rays, faces, noise, work)
             if not is_hit:
                 continue
-            face[count], at[count] = work.march.k[m], work.march.t[m] + e * t_u
-            off[count], weight[count] = e * den, 1.0 / (var * den * den)
+            face[count] = work.march.k[m]
+            hits[0, count], hits[1, count] = work.march.t[m] + e * t_u, e * den
+            hits[2, count] = 1.0 / (var * den * den)
             count += 1
-    return face[:count], at[:count], off[:count], weight[:count]
+    return count

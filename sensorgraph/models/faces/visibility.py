@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planners.kernel import inlined_kernel, inner_kernel, kernel
+from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
 from sensorgraph.models.distribution import TAIL
 from sensorgraph.models.faces.forward_selection import Lines
 from sensorgraph.models.faces.ray_march import (
@@ -185,9 +185,9 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
     stops, reached = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
     lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
     unexplained, nats, total = np.zeros(len(rays)), np.zeros(len(rays)), np.zeros(2)
-    work = new_stop_work()
+    work, passed = new_stop_work(), np.empty(len(faces.levels))
     sums = stops, reached, lines, spread, unexplained, nats, total
-    _e_step(rays.arrays, faces, buckets, noise.array, work, sums)
+    _e_step(rays.arrays, faces, buckets, noise.array, work, passed, sums)
     return Expectation(
         stops=stops, reached=reached, line_sums=lines, noise_sums=spread, unexplained=unexplained,
         nats=nats, log_likelihood=float(total[0]), distance=float(total[1]),
@@ -275,15 +275,17 @@ def hit_of(m: Any, i: Any, rays: Any, faces: Any, noise: Any, work: Any) -> Any:
     return den <= -MIN_COSINE and e * e <= FIT_GATE * var, den, t_u, e, var
 
 
-@kernel
-def _e_step(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any, sums: Any) -> Any:
-    """Add up the `sums` of an `Expectation`: the first six fields, and log likelihood and distance (2,)."""
+@outer_kernel
+def _e_step(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any, passed: Any, sums: Any) -> Any:
+    """Add up the `sums` of an `Expectation`: the first six fields, and log likelihood and distance (2,).
+
+    `work` and `passed` (n_edges,) are memory.
+    """
     first, levels = faces[2], faces[4]
     stops, reached, lines, spread, unexplained, nats, total = sums
     march, gamma, survive = work
     r, k, j, t = march
     range_max, weights = rays.range_max, rays.weights
-    passed = np.empty(len(levels))
     for m in range(len(levels)):
         passed[m] = np.log(max(1.0 - levels[m], MIN_PASSED))
     for i in range(len(rays.ranges)):
