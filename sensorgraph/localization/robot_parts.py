@@ -135,7 +135,10 @@ def parts_of_robot(
     elsewhere = {i: _elsewhere(i, poses, pieces) for i in some.tolist()}
     others = np.unique([j for scans in elsewhere.values() for j in scans]).astype(np.intp)
     views = run.take_scans(others)
-    whole, rest = scan_points(views, motion), scan_points(without_readings(views, usual), motion)
+    whole, rest = (
+        scan_points(some_views, motion, has_normals=False)
+        for some_views in (views, without_readings(views, usual))
+    )
     sorted_views = cache(lambda view: (view_of(whole, whole.of(view)), view_of(rest, rest.of(view))))
     by_any, seen, through = np.zeros((3, sensor.n_rays))
     for i, scans in elsewhere.items():

@@ -90,31 +90,33 @@ class ScanPoints:
         return ScanPoints(first=first, **{name: getattr(self, name)[kept] for name in _COLUMNS})
 
 
-def scan_points(run: Run, motion: Motion | None = None, *, delays: Floats | None = None) -> ScanPoints:
+def scan_points(
+    run: Run, motion: Motion | None = None, *, delays: Floats | None = None, has_normals: bool = True
+) -> ScanPoints:
     """Convert the returns of a run to points in base_link at the stamps of their scans.
 
     Parameters
     ----------
     motion : Motion of base_link in any frame, which deskews the rays of a sweep; None: no deskewing.
     delays : (n_rays,) [s] Time of each ray after the stamp of the scan; None: as in the sensor.
+    has_normals : If not, the normals are not estimated, and are 0.
     """
     sensor = run.sensor
     delays = sensor.ray_delays if delays is None else delays
     used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, SCANS.max_range))
     if sensor.resolution > 0:  # the last step before range_max is often a missing return, rounded down
         used &= run.ranges < sensor.range_max - sensor.resolution
+    starts = range(0, max(run.n_scans, 1), SCANS_PER_BLOCK)
     blocks = [
-        _block(
-            run, slice(start, start + SCANS_PER_BLOCK), used[start : start + SCANS_PER_BLOCK], motion, delays
-        )
-        for start in range(0, max(run.n_scans, 1), SCANS_PER_BLOCK)
+        _block(run, some, used[some], motion, delays, has_normals)
+        for some in (slice(start, start + SCANS_PER_BLOCK) for start in starts)
     ]
     counts, *columns = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     return ScanPoints._of(counts, columns)
 
 
 def _block(
-    run: Run, scans: slice, used: Bools, motion: Motion | None, delays: Floats
+    run: Run, scans: slice, used: Bools, motion: Motion | None, delays: Floats, has_normals: bool
 ) -> tuple[Ints, Floats, Floats, Floats, Floats, Ints]:
     """Return counts (n,), points, normals, ranges, starts and rays of some scans."""
     rays = laser_rays(run.sensor, run.stamps[scans], motion, delays)  # (n or 1, n_rays, 3)
@@ -125,7 +127,8 @@ def _block(
     starts = np.broadcast_to(rays[..., :2], points.shape)
     kept = np.zeros(used.shape, dtype=np.bool_)
     normals = np.zeros_like(points)
-    _normals(points, np.array(starts, order="C"), used, NEIGHBOURHOOD, SCANS.gap, normals)
+    if has_normals:
+        _normals(points, np.array(starts, order="C"), used, NEIGHBOURHOOD, SCANS.gap, normals)
     _thin(points, used, SPACING, kept)
     return kept.sum(axis=1), points[kept], normals[kept], ranges[kept], starts[kept], np.nonzero(kept)[1]
 

@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs.run import RangeSensor
 from logs.transforms import compose
-from planners.kernel import outer_kernel
 from sensorgraph.models.base import TrainingScans
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.observed_space import ObservedSpace
@@ -139,28 +138,30 @@ def reduce_block(block: Block, *, mount: Floats, share: float) -> Reduction:
     x, y, theta = np.ascontiguousarray(compose(poses, mount).T)
     if scans.ray_poses is not None:
         theta += np.tile(sensor.bearings, len(scans))
-    n = ranges.size
-    origins, directions, ends = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2))
-    reach, place = np.empty(n), np.empty(n, dtype=np.int64)
-    n_rays, n_returns = _flatten(
-        x, y, np.cos(theta), np.sin(theta), np.cos(bearings), np.sin(bearings), ranges,
-        sensor.range_max, origins, directions, ends, reach, place,
-    )  # fmt: skip
-    origins, directions, ends = origins[:n_rays], directions[:n_rays], ends[:n_rays]
-    reach, place = reach[:n_rays], place[:n_rays]
+    place = np.flatnonzero(ranges > 0)  # neither too close nor broken
+    row, beam = np.divmod(place, ranges.shape[1])
+    cos, sin = np.cos(theta)[row], np.sin(theta)[row]
+    cos_b, sin_b = np.cos(bearings)[beam], np.sin(bearings)[beam]
+    origins = np.column_stack([x[row], y[row]])
+    directions = np.column_stack([cos * cos_b - sin * sin_b, sin * cos_b + cos * sin_b])
+    reach = ranges.ravel()[place]
+    returned = reach < np.inf
+    reach[~returned] = sensor.range_max
+    ends = origins + reach[:, None] * directions
+    ends[~returned] = np.nan
     taken = place if share >= 1 else place[_is_sampled(place, block.first * sensor.n_rays, share)]
     row, beam = np.divmod(taken, sensor.n_rays)
     return Reduction(
         hit_moments=HitMoments.of(ends, directions),
-        observed=ObservedSpace.of(origins, directions, reach, returned=np.isfinite(ranges.ravel()[place])),
+        observed=ObservedSpace.of(origins, directions, reach, returned=returned),
         sample=RaySample(
             poses=scans.poses[row],
             beams=beam.astype(np.int32),
             ranges=ranges.ravel()[taken],
             ray_poses=None if scans.ray_poses is None else scans.ray_poses[row, beam],
         ),
-        n_rays=n_rays,
-        n_returns=n_returns,
+        n_rays=len(place),
+        n_returns=int(returned.sum()),
     )
 
 
@@ -209,33 +210,6 @@ def _concatenate(samples: Sequence[RaySample]) -> RaySample:
         if any(s.ray_poses is not None for s in samples)
         else None,
     )
-
-
-@outer_kernel
-def _flatten(
-    x: Any, y: Any, cos: Any, sin: Any, cos_b: Any, sin_b: Any, ranges: Any, range_max: Any, origins: Any,
-    directions: Any, ends: Any, reach: Any, place: Any,
-) -> Any:  # fmt: skip
-    """List valid rays that are not too close: starts q, directions u and end points q + z u (nan without a return)."""
-    n, n_returns = 0, 0
-    for i in range(ranges.shape[0]):
-        for b in range(ranges.shape[1]):
-            z = ranges[i, b]
-            if not z > 0:
-                continue
-            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
-            origins[n, 0], origins[n, 1] = x[i], y[i]
-            directions[n, 0], directions[n, 1] = ux, uy
-            place[n] = i * ranges.shape[1] + b
-            if z < np.inf:
-                reach[n] = z
-                ends[n, 0], ends[n, 1] = x[i] + z * ux, y[i] + z * uy
-                n_returns += 1
-            else:
-                reach[n] = range_max
-                ends[n, 0], ends[n, 1] = np.nan, np.nan
-            n += 1
-    return n, n_returns
 
 
 def _is_sampled(place: NDArray[np.int64], first: int, share: float) -> NDArray[np.bool_]:
