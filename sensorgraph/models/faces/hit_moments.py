@@ -36,11 +36,11 @@ class HitMoments:
         points, (ux, uy) = points[known], directions[known].T
         w = np.ones(len(points)) if weights is None else weights[known]
         cells = np.floor(points / HIT_CELL).astype(np.int64)
-        keys, row = np.unique(_keys(cells), return_inverse=True)
+        hit, row = _distinct(cells)
         x, y = (points - (cells + 0.5) * HIT_CELL).T
         columns = (w, w * x, w * y, w * x * x, w * x * y, w * y * y, w * ux, w * uy)
-        sums = [np.bincount(row, column, minlength=len(keys)) for column in columns]
-        return cls(cells=_cells(keys), moments=np.stack(sums, axis=1))
+        sums = [np.bincount(row, column, minlength=len(hit)) for column in columns]
+        return cls(cells=hit, moments=np.stack(sums, axis=1))
 
     def merge(self, other: HitMoments) -> HitMoments:
         """Return the moments of two disjoint sets of hits together."""
@@ -60,6 +60,22 @@ class HitMoments:
     def centres(self) -> Floats:
         """(n_cells, 2) [m] centres of the cells in map."""
         return np.asarray((self.cells + 0.5) * HIT_CELL, dtype=np.float64)
+
+
+def _distinct(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Return the distinct cells in the order of the key, and the row of each cell (n,) among them.
+
+    A table of all cells around is faster than sorting, unless it is larger than the input.
+    """
+    low = cells.min(axis=0, initial=_KEY_OFFSET)
+    shape = cells.max(axis=0, initial=-_KEY_OFFSET) - low + 1
+    if len(cells) == 0 or shape.prod() > len(cells):
+        keys, row = np.unique(_keys(cells), return_inverse=True)
+        return _cells(keys), row
+    at = (cells - low) @ np.array([shape[1], 1])
+    is_hit = np.bincount(at, minlength=shape.prod()) > 0
+    hit = np.stack(np.divmod(np.flatnonzero(is_hit), shape[1]), axis=1) + low
+    return hit, (np.cumsum(is_hit) - 1)[at]
 
 
 def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
