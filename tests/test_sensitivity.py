@@ -69,8 +69,9 @@ def test_constants_are_varied_where_they_are_compiled() -> None:
         nothing, half = np.zeros(9), np.full(9, 0.5)
         limits, noise = (0.1, 8.0, 0.001, 0.0), (0.01, 0.01, 0.01, 0.0)
         sigma, two, one = np.full(9, 0.02), np.full(9, 2.0), np.ones(9)
-        found = likelihood.mixture(
-            here, two, sigma, one, beyond, nothing, half, limits, noise, (0.0, 0.0, 1e-9), 3.0
+        found = np.zeros((7, 9))
+        likelihood.mixture(
+            here, two, sigma, one, beyond, nothing, half, limits, noise, (0.0, 0.0, 1e-9), 3.0, found
         )
         return [f"{p:.6f}" for p in found[likelihood.LOG_P]]
 

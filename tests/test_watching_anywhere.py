@@ -69,14 +69,15 @@ def test_the_probabilities_of_all_readings_at_a_pose_sum_to_one_whatever_was_see
     for cells in (readings.seen.cells, hidden):
         readings._unseen = replace(readings._unseen, seen=replace(readings.seen, cells=cells))
         s, top = readings.priors.predicted, readings.sensor.range_max
-        z = np.concatenate([np.arange(readings.sensor.range_min, top, 0.004), [np.inf]])
+        step = readings.sensor.sigma  # a sum at such steps is the integral of a Gaussian to 1e-8
+        z = np.concatenate([np.arange(readings.sensor.range_min, top, step), [np.inf]])
         sums = np.zeros(len(rays))
         for one in z:
             found = readings.evidence(
                 np.full(readings.sensor.n_rays, one), pose, rays, expected=replace(expected, answered=expected.answered & False)
             )  # fmt: skip
             p_0 = math.exp(readings.anywhere.log_density(np.array([one]))[0])
-            sums += (np.exp(found.ratios[0]) - (1.0 - s)) / s * p_0 * (1.0 if np.isinf(one) else 0.004)
+            sums += (np.exp(found.ratios[0]) - (1.0 - s)) / s * p_0 * (1.0 if np.isinf(one) else step)
         assert sums == pytest.approx(np.ones(len(rays)), abs=0.06)
 
 
