@@ -1,6 +1,6 @@
-"""Array operations of compiled kernels: a binary heap that yields indices by cost, and ranges of a mask.
+"""Array operations of compiled kernels: a binary heap that yields indices by cost, bisection, and ranges of a mask.
 
-`np.argsort` and slices take seconds to compile, because numba compiles their error messages too. These
+`np.argsort`, `np.searchsorted` and slices take up to seconds to compile, because numba compiles their error messages too. These
 kernels take a tenth of that. A heap also runs faster when only the first entries of the order are needed.
 Heap property: costs[heap[i]] ≤ costs[heap[2 i + 1]] and ≤ costs[heap[2 i + 2]] (bottom-up heapsort, I. Wegener,
 Theoretical Computer Science 118, 1993).
@@ -63,6 +63,19 @@ def _sift_down(heap: Ints, top: int, size: int, costs: Floats) -> None:
         heap[hole] = a
         hole = child
     heap[hole] = moved
+
+
+@inner_kernel
+def last_up_to(values: Floats, most: float) -> int:
+    """Return the index of the last of some ascending values that is at most `most`; 0 if none is (bisection)."""
+    at, beyond = 0, len(values)
+    while beyond - at > 1:
+        middle = (at + beyond) // 2
+        if values[middle] <= most:
+            at = middle
+        else:
+            beyond = middle
+    return at
 
 
 @inner_kernel

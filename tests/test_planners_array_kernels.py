@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.array_kernels import is_any, make_heap, pop_least, set_all
+from planners.array_kernels import is_any, last_up_to, make_heap, pop_least, set_all
 
 
 @given(st.lists(st.sampled_from([0.0, -1.0, 2.5, 1e9, np.inf]) | st.floats(-10, 10), max_size=60))
@@ -27,3 +27,10 @@ def test_stretches_of_a_mask(values: list[bool], data: st.DataObject) -> None:
     expected[first : last + 1] = True
     set_all(mask, first, last)
     assert (mask == expected).all()
+
+
+def test_bisection_finds_the_last_value_up_to_a_limit() -> None:
+    values = np.array([0.0, 1.0, 1.0, 2.5])
+    for most in (0.0, 0.5, 1.0, 2.4, 2.5, 9.0):
+        assert last_up_to(values, most) == np.searchsorted(values, most, side="right") - 1
+    assert last_up_to(values, -1.0) == 0

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planners.array_kernels import is_any, make_heap, pop_least, set_all
+from planners.array_kernels import is_any, last_up_to, make_heap, pop_least, set_all
 from planners.cars.arc_path import (
     MAX_BINS,
     BinIntervals,
@@ -85,7 +85,7 @@ def interval_middle(interval: int, analysis: PathAnalysis) -> Pose:
     """Return the pose in the middle of an interval."""
     path, intervals, _, context = analysis
     at = intervals.start[interval] + 0.5 * intervals.length[interval]
-    k = min(int(np.searchsorted(intervals.driven, at, side="right")) - 1, len(path.length) - 1)
+    k = min(last_up_to(intervals.driven, at), len(path.length) - 1)
     return arc_end(pose_at(path, k), at - intervals.driven[k], path.bend[k], path.gear[k], context.radius)
 
 

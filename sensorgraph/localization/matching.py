@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.localization.line_map import LineMap, Table, fit_line
 from sensorgraph.localization.settings import MATCH, MIN_NOISE, LineMatchSettings
 from sensorgraph.types import Floats
@@ -104,6 +104,7 @@ def match(
         np.zeros((3, 3)) if prior_information is None else np.asarray(prior_information, dtype=np.float64),
         radii,
         settings.sigma * settings.sigma,
+        np.empty(19),
         out,
     )
     information, projection = _determined(out[3:12].reshape(3, 3), points)
@@ -137,7 +138,7 @@ def _determined(normal_matrix: Floats, points: Floats) -> tuple[Floats, Floats]:
     return information, projection
 
 
-@kernel
+@outer_kernel
 def _match(
     points: Floats,
     normals: Floats,
@@ -146,9 +147,10 @@ def _match(
     prior_information: Floats,
     radii: Floats,
     variance: float,
+    sums: Floats,
     out: Floats,
 ) -> None:
-    """Run Gauss-Newton.
+    """Run Gauss-Newton; `sums` (19,) is memory.
 
     `out` receives the pose (3), the sum of weighted JᵀJ minus twice the part from errors of the line directions
     (9), the number of points with a line, the number of inliers, the weighted sum of squares and the sum of
@@ -157,7 +159,6 @@ def _match(
     last_radius = radii[1]
     x, y, phi = prior[0], prior[1], prior[2]
     radius, shrink = radii[0], (last_radius / radii[0]) ** 0.25
-    sums = np.zeros(19)
     is_found = False
     for iteration in range(ITERATIONS + 1):
         cos, sin = np.cos(phi), np.sin(phi)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.types import Floats, Ints
 from sensorgraph.world.wall_grid import CORNER, grid_of, nearest_in_grid
 
@@ -22,7 +22,6 @@ MAX_UNSORTED_PAIRS = 300_000
 """... if the number of ray-wall pairs exceeds this, so that sorting the walls into cells pays off."""
 
 
-@kernel
 def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats) -> tuple[Floats, Ints]:
     """Return the range and the wall of each ray.
 
@@ -37,9 +36,17 @@ def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats)
     Ranges (n,) [m], inf without a hit, and walls (n,), -1 without a hit. Of several equally near walls the
     first counts.
     """
-    ranges, wall = np.empty(len(ux)), np.empty(len(ux), np.intp)
+    ranges, wall = np.full(len(ux), np.inf), np.full(len(ux), -1, np.intp)
+    _meet_walls(walls, ox, oy, ux, uy, ranges, wall)
+    return ranges, wall
+
+
+@outer_kernel
+def _meet_walls(
+    walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats, ranges: Floats, wall: Ints
+) -> None:
+    """Enter nearer walls, and their ranges, as of `nearest_walls`."""
     for k in range(len(ux)):
-        ranges[k], wall[k] = np.inf, -1
         for at in range(len(walls)):
             dx, dy = walls[at, 1, 0] - walls[at, 0, 0], walls[at, 1, 1] - walls[at, 0, 1]
             ax, ay = walls[at, 0, 0] - ox[k], walls[at, 0, 1] - oy[k]
@@ -49,7 +56,6 @@ def nearest_walls(walls: Floats, ox: Floats, oy: Floats, ux: Floats, uy: Floats)
                 r = (ax * dy - ay * dx) / across
                 if r >= 0.0 and r < ranges[k]:
                     ranges[k], wall[k] = r, at
-    return ranges, wall
 
 
 def nearest_after_moves(

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
 from sensorgraph.diagnosis.motion.increments import WheelIncrements, clock_sigma
 from sensorgraph.diagnosis.motion.reference_noise import FILTER_ORDER
@@ -282,7 +282,6 @@ class WheelModel:
         return v, omega
 
 
-@kernel
 def lost_inside(
     left_at: Floats, right_at: Floats, left: Floats, right: Floats, track: float, discs: Floats, rim: float
 ) -> tuple[Floats, Floats]:
@@ -301,20 +300,37 @@ def lost_inside(
     discs : (n_discs, 3) x, y, r [m, map].
     rim : [m] Width of the edge.
     """
-    n, k = len(left), len(discs)
-    x, y = discs[:, 0].copy(), discs[:, 1].copy()
+    distance, turn = np.empty((2, len(left), len(discs)))
+    x, y, radius = np.ascontiguousarray(discs.T)
+    _sum_lost(left_at, right_at, left, right, track, x, y, radius, rim, distance, turn)
+    return distance, turn
+
+
+@outer_kernel
+def _sum_lost(
+    left_at: Floats,
+    right_at: Floats,
+    left: Floats,
+    right: Floats,
+    track: float,
+    x: Floats,
+    y: Floats,
+    radius: Floats,
+    rim: float,
+    distance: Floats,
+    turn: Floats,
+) -> None:
+    """Fill `distance` and `turn` as of `lost_inside`; x, y, radius: (n_discs,) [m]."""
     per_way = 1 / rim
-    until = discs[:, 2] * per_way + 0.5
-    distance, turn = np.empty((n, k)), np.empty((n, k))
-    for i in range(n):
-        for j in range(k):
+    for i in range(len(left)):
+        for j in range(len(x)):
+            until = radius[j] * per_way + 0.5
             dx, dy = left_at[i, 0] - x[j], left_at[i, 1] - y[j]
-            lost_left = left[i] * min(max(until[j] - np.sqrt(dx * dx + dy * dy) * per_way, 0.0), 1.0)
+            lost_left = left[i] * min(max(until - np.sqrt(dx * dx + dy * dy) * per_way, 0.0), 1.0)
             dx, dy = right_at[i, 0] - x[j], right_at[i, 1] - y[j]
-            lost_right = right[i] * min(max(until[j] - np.sqrt(dx * dx + dy * dy) * per_way, 0.0), 1.0)
+            lost_right = right[i] * min(max(until - np.sqrt(dx * dx + dy * dy) * per_way, 0.0), 1.0)
             distance[i, j] = (lost_left + lost_right) / 2
             turn[i, j] = (lost_right - lost_left) / track
-    return distance, turn
 
 
 def fused_motion(rows: OdometryRows, wheels: WheelIncrements, residual: Floats) -> WheelIncrements:

@@ -27,6 +27,7 @@ from math import atan2, erfc, hypot, pi, sqrt
 
 import numpy as np
 
+from planners.array_kernels import last_up_to
 from planners.kernel import inner_kernel, outer_kernel
 from planners.types import SAME_PLACE
 from sensorgraph.types import Bools, Floats, Ints
@@ -307,13 +308,7 @@ def _pair_around(
     """Return the index of the pair of rays around a place; -1 without one."""
     dx, dy, c, s = x - ox[rights[0]], y - oy[rights[0]], ux[rights[0]], uy[rights[0]]
     angle = atan2(c * dy - s * dx, c * dx + s * dy) % TURN
-    at, beyond, step = 0, len(first), 0
-    while beyond - at > 1:  # bisection; np.searchsorted would compile for half a second
-        middle = (at + beyond) // 2
-        if first[middle] <= angle:
-            at = middle
-        else:
-            beyond = middle
+    at, step = last_up_to(first, angle), 0
     # the rays of a robot that turns during the sweep deviate from their bearings
     for _ in range(len(rights)):
         right, left = rights[at], lefts[at]

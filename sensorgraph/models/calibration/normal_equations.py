@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import outer_kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.calibration.pose_refinement import pose_slopes
 from sensorgraph.models.calibration.ray_terms import MAX_OPTIC_RANGE, N_INCIDENCE, incidence_terms
@@ -92,6 +92,7 @@ def normal_equations(
     _accumulate(
         readings.ray, np.cos(heading), np.sin(heading), face, matches.rho, matches.den, matches.along, matches.at,
         matches.residual, weight, faces.normals, centre, matrix, rhs, face_matrix, face_rhs, coupling,
+        np.empty(N_COMMON + 2), np.empty(N_COMMON + 2, np.int64),
     )  # fmt: skip
     matrix += np.tril(matrix, -1).T
     face_matrix += np.eye(2)  # [1/m², 1/rad²] prior that makes the block of a face without returns invertible
@@ -179,18 +180,17 @@ def _forward(matrix: Floats, rhs: Floats, penalties: Floats) -> tuple[Bools, flo
     return chosen, total_gain
 
 
-@kernel
+@outer_kernel
 def _accumulate(
     ray: Any, cos: Any, sin: Any, face: Any, rho: Any, den: Any, along: Any, at: Any, residual: Any,
     weight: Any, normals: Any, centre: Any, matrix: Any, rhs: Any, face_matrix: Any, face_rhs: Any,
-    coupling: Any,
+    coupling: Any, x: Any, where: Any,
 ) -> Any:  # fmt: skip
     """Add the returns to the normal equations of the module: row (x, y0, y1) of a return, weight w and residual e.
 
-    The upper half of `matrix` stays 0.
+    The upper half of `matrix` stays 0. `x` and `where` (N_COMMON + 2,) are memory.
     """
     n_rays = (len(rhs) - N_COMMON) // 2
-    x, where = np.empty(N_COMMON + 2), np.empty(N_COMMON + 2, np.int64)
     for a in range(N_COMMON):
         where[a] = a
     for i in range(len(ray)):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from logs.transforms import compose
-from planners.kernel import inner_kernel, kernel
+from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
@@ -58,7 +58,7 @@ def refine_poses(
     weight = np.where(matches.weight > 0, matches.probability / sigma**2, 0.0)
     _pose_equations(
         readings.scan, np.cos(heading), np.sin(heading), np.maximum(matches.face, 0), matches.rho, matches.den,
-        matches.along, matches.residual, weight, faces.normals, information, rhs,
+        matches.along, matches.residual, weight, faces.normals, information, rhs, np.empty(3),
     )  # fmt: skip
     rhs += np.einsum("nij,nj->ni", information, shifts)
     seen = information[:, 0, 0] + information[:, 1, 1] > 0
@@ -134,13 +134,12 @@ def pose_slopes(normal: Any, cos: Any, sin: Any, rho: Any, den: Any, along: Any)
     return -(nx * cos + ny * sin) / den, -(ny * cos - nx * sin) / den, rho * along / den
 
 
-@kernel
+@outer_kernel
 def _pose_equations(
     scan: Any, cos: Any, sin: Any, face: Any, rho: Any, den: Any, along: Any, residual: Any, weight: Any,
-    normals: Any, information: Any, rhs: Any,
+    normals: Any, information: Any, rhs: Any, x: Any,
 ) -> Any:  # fmt: skip
-    """Add H_i = sum_j w_j a_j a_j' to `information` (n, 3, 3) and g_i = sum_j w_j e_j a_j to `rhs` (n, 3) of each scan."""
-    x = np.empty(3)
+    """Add H_i = sum_j w_j a_j a_j' to `information` (n, 3, 3) and g_i = sum_j w_j e_j a_j to `rhs` (n, 3) of each scan; `x` (3,) is memory."""
     for i in range(len(scan)):
         w = weight[i]
         if w <= 0:

@@ -11,15 +11,15 @@ that were hit, not on the length of the log.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planners.array_kernels import make_heap, pop_least
-from planners.kernel import inlined_kernel, inner_kernel, kernel
+from planners.kernel import inlined_kernel, inner_kernel, outer_kernel
 from sensorgraph.models.faces.hit_moments import HIT_CELL, HitMoments
 from sensorgraph.models.faces.settings import FACES, LineLimits
-from sensorgraph.types import Floats, Ints
+from sensorgraph.types import Bools, Floats, Ints
 
 N_ANGLES, VOTE_SPREAD = 240, 3
 """Number of normal angles over the full circle, since faces are one-sided; neighbouring bins on each side that a cell also votes for."""
@@ -85,11 +85,16 @@ def select_lines(hit_moments: HitMoments, *, sigma: float, limits: LineLimits = 
     column, row = (hit_moments.cells - low).T
     grid[column, row] = np.arange(len(hit_moments.cells), dtype=np.int32)
     middle = hit_moments.centres.mean(axis=0)  # so that d is small far from the origin of map
-    rows = _select_lines(
-        grid, np.ascontiguousarray(column), np.ascontiguousarray(row), hit_moments.centres - middle,
-        hit_moments.moments, float(max(BAND_SIGMAS * sigma, MIN_BAND)), limits.min_hits, limits.gap,
-        limits.min_length,
+    centres, moments = hit_moments.centres - middle, hit_moments.moments
+    mean = centres + moments[:, 1:3] / np.maximum(moments[:, :1], 1e-9)
+    reach = float(np.hypot(*mean.T).max())
+    found = np.zeros((MAX_LINES, 5))
+    n_lines = _select_lines(
+        grid, np.ascontiguousarray(column), np.ascontiguousarray(row), centres, mean, moments, reach,
+        float(max(BAND_SIGMAS * sigma, MIN_BAND)), limits.min_hits, limits.gap, limits.min_length,
+        _new_work(len(mean), reach), found,
     )  # fmt: skip
+    rows = found[:n_lines]
     normals = rows[:, :2]
     tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
     return Lines(
@@ -99,65 +104,90 @@ def select_lines(hit_moments: HitMoments, *, sigma: float, limits: LineLimits = 
     )
 
 
-@kernel
+class SelectionWork(NamedTuple):
+    """Memory of the kernels: a row for each cell, then for each angle.
+
+    The kernels pass on single arrays: to pass all of them takes a second more to compile.
+    """
+
+    angle: Floats
+    """Bin of the normal's angle; -1 if it is unclear."""
+    live: Bools
+    """Whether the cell is on no line yet."""
+    members: Ints
+    """Cells of the line that is fitted."""
+    heap: Ints
+    places: Floats
+    """[m] Abscissae of these cells."""
+    order: Ints
+    votes: Floats
+    """(N_ANGLES, n_offsets)"""
+    tops: Floats
+    """Most votes of the angle, and their bin of the offset."""
+    peaks: Ints
+    stale: Bools
+    """Whether the votes have changed since."""
+    cos: Floats
+    sin: Floats
+
+
+def _new_work(n: int, reach: float) -> SelectionWork:
+    """Return memory for n cells up to `reach` [m] from the origin."""
+    angles, n_offsets = np.zeros((3, N_ANGLES)), int(2 * reach / OFFSET_BIN) + 5
+    whole = np.empty((3, n), np.int64)
+    return SelectionWork(
+        angle=np.empty(n), live=np.ones(n, np.bool_), members=whole[0], heap=whole[1], places=np.empty(n),
+        order=whole[2], votes=np.zeros((N_ANGLES, n_offsets)), tops=angles[0],
+        peaks=np.zeros(N_ANGLES, np.int64), stale=np.ones(N_ANGLES, np.bool_), cos=angles[1], sin=angles[2],
+    )  # fmt: skip
+
+
+@outer_kernel
 def _select_lines(
-    grid: Any, column: Any, row: Any, centres: Any, moments: Any, band: Any, min_hits: Any, gap: Any,
-    min_length: Any,
+    grid: Any, column: Any, row: Any, centres: Any, mean: Any, moments: Any, reach: Any, band: Any,
+    min_hits: Any, gap: Any, min_length: Any, work: Any, found: Any,
 ) -> Any:  # fmt: skip
-    n_cells = len(column)
-    angle = _normal_bins(grid, column, row, centres, moments)
-    mean = np.empty((n_cells, 2))
-    for i in range(n_cells):
-        for j in range(2):
-            mean[i, j] = centres[i, j] + moments[i, 1 + j] / max(moments[i, 0], 1e-9)
-    reach = 0.0
-    for i in range(n_cells):
-        reach = max(reach, np.hypot(mean[i, 0], mean[i, 1]))
-    n_d = int(2 * reach / OFFSET_BIN) + 5
-    cos, sin, stale = np.empty(N_ANGLES), np.empty(N_ANGLES), np.empty(N_ANGLES, np.bool_)
+    """Write lines to `found`: normal, offset, first and last abscissa; return their number."""
+    angle, live, members, heap, places, order, votes, tops, peaks, stale, cos, sin = work
+    _find_normals(grid, column, row, centres, moments, angle)
     for b in range(N_ANGLES):
-        stale[b] = True
         cos[b], sin[b] = np.cos(2 * np.pi * b / N_ANGLES), np.sin(2 * np.pi * b / N_ANGLES)
-    votes = np.zeros((N_ANGLES, n_d))
-    tops = np.zeros(N_ANGLES)
-    places = np.zeros(N_ANGLES, np.int64)
-    live = np.empty(n_cells, np.bool_)
-    for i in range(n_cells):
-        live[i] = True
+    for i in range(len(mean)):
         _vote(votes, i, angle, mean, moments, cos, sin, reach, 1.0)
-    found = np.zeros((MAX_LINES, 5))
     n_found = 0
     failures = 0
     while n_found < len(found) and failures < MAX_LINES:
-        for a in range(N_ANGLES):
-            if stale[a]:
-                places[a] = np.argmax(votes[a])
-                tops[a] = votes[a, places[a]]
-                stale[a] = False
-        best = np.argmax(tops)
-        if tops[best] < 0.5 * min_hits:  # a cell's vote is divided between two bins of the offset
+        a = 0
+        for b in range(N_ANGLES):
+            if stale[b]:
+                peaks[b], stale[b] = 0, False
+                for k in range(votes.shape[1]):
+                    if votes[b, k] > votes[b, peaks[b]]:
+                        peaks[b] = k
+                tops[b] = votes[b, peaks[b]]
+            if tops[b] > tops[a]:
+                a = b
+        if tops[a] < 0.5 * min_hits:  # a cell's vote is divided between two bins of the offset
             break
-        a, k = int(best), int(places[best])
-        line, members = _fit_run(
-            cos[a], sin[a], (k - 2 + 0.5) * OFFSET_BIN - reach, mean, moments, live, angle, band, gap,
-            min_length, min_hits,
+        n = _fit_run(
+            cos[a], sin[a], (peaks[a] - 2 + 0.5) * OFFSET_BIN - reach, mean, moments, band, gap, min_length,
+            min_hits, angle, live, members, heap, places, order, found[n_found],
         )  # fmt: skip
-        if len(members) == 0:
-            votes[a, k] = 0.0  # no line satisfies the limits there
+        if n == 0:
+            votes[a, peaks[a]] = 0.0  # no line satisfies the limits there
             stale[a] = True
             failures += 1
             continue
-        for c in range(5):
-            found[n_found, c] = line[c]
         n_found += 1
-        for i in members:
+        for m in range(n):
+            i = members[m]
             live[i] = False
             _vote(votes, i, angle, mean, moments, cos, sin, reach, -1.0)
             own = int(angle[i])
             if own >= 0:
                 for s in range(-VOTE_SPREAD, VOTE_SPREAD + 1):
                     stale[(own + s) % N_ANGLES] = True
-    return found[:n_found].copy()
+    return n_found
 
 
 @inner_kernel
@@ -180,17 +210,15 @@ def _vote(
         votes[a, k + 1] += f * w
 
 
-@kernel
-def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -> Any:
-    """Return the angle bin of each cell's normal, from the moments of surrounding cells; -1 if it is unclear.
+@inner_kernel
+def _find_normals(grid: Any, column: Any, row: Any, centres: Any, moments: Any, angle: Any) -> Any:
+    """Find the bin of the angle of each cell's normal, from the moments of surrounding cells; -1 if it is unclear.
 
     With the covariance (xx, xy, yy) of the hits, their long axis has the angle ½ atan2(2 xy, xx - yy), and their variances
     along and across it are ½ (xx + yy) ± sqrt(¼ (xx - yy)² + xy²). The normal faces the mean direction of the rays.
     """
-    n_cells = len(column)
     nx, ny = grid.shape
-    angle = np.empty(n_cells)
-    for i in range(n_cells):
+    for i in range(len(column)):
         angle[i] = -1.0
         for half in NEIGHBOURHOODS:
             m0, mx, my, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -223,7 +251,6 @@ def _normal_bins(grid: Any, column: Any, row: Any, centres: Any, moments: Any) -
                     nx_, ny_ = -nx_, -ny_
                 angle[i] = np.floor(np.arctan2(ny_, nx_) / (2 * np.pi) * N_ANGLES + 0.5) % N_ANGLES
                 break
-    return angle
 
 
 @inlined_kernel
@@ -240,11 +267,12 @@ def _is_on_line(i: Any, nx: Any, ny: Any, d: Any, width: Any, mean: Any, moments
 
 
 @inner_kernel
-def _moments_of(members: Any, mean: Any, moments: Any) -> Any:
-    """Return the number of hits of some cells, their mean x and y [m], and their covariance xx, xy, yy [m²]."""
+def _moments_of(n: Any, members: Any, mean: Any, moments: Any) -> Any:
+    """Return the number of hits of n cells, their mean x and y [m], and their covariance xx, xy, yy [m²]."""
     m0, mx, my, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     x0, y0 = mean[members[0], 0], mean[members[0], 1]
-    for i in members:
+    for k in range(n):
+        i = members[k]
         w = moments[i, 0]
         x, y = mean[i, 0] - x0, mean[i, 1] - y0
         m0 += w
@@ -257,53 +285,47 @@ def _moments_of(members: Any, mean: Any, moments: Any) -> Any:
     return m0, cx + x0, cy + y0, xx / m0 - cx * cx, xy / m0 - cx * cy, yy / m0 - cy * cy
 
 
-@kernel
+@inner_kernel
 def _fit_run(
-    c: Any, s: Any, d: Any, mean: Any, moments: Any, live: Any, angle: Any, band: Any, gap: Any, min_length: Any,
-    min_hits: Any,
+    c: Any, s: Any, d: Any, mean: Any, moments: Any, band: Any, gap: Any, min_length: Any, min_hits: Any,
+    angle: Any, live: Any, members: Any, heap: Any, places: Any, order: Any, line: Any,
 ) -> Any:  # fmt: skip
-    """Fit the line near (c, s, d) to its strongest run of live cells; return no members if there is no such run."""
+    """Fit the line near (c, s, d) to its strongest run of live cells, the members; return their number, 0 if there is no such run."""
     nx, ny = c, s
-    none = np.empty(0, np.int64)
-    line = np.zeros(5)
-    n_cells = len(mean)
-    index = np.empty(n_cells, np.int64)
-    low, high = -np.inf, np.inf
+    low, high, n = -np.inf, np.inf, 0
     for step in range(REFITS):
         width = max(band, FIRST_BAND) if step == 0 else band
-        n = 0
-        for i in range(n_cells):
+        near = 0
+        for i in range(len(mean)):
             if not live[i] or not _is_on_line(i, nx, ny, d, width, mean, moments, angle):
                 continue
             t = -ny * mean[i, 0] + nx * mean[i, 1]
             if t < low - gap or t > high + gap:
                 continue
-            index[n] = i
-            n += 1
-        if n == 0:
-            return line, none
-        heap, place = np.empty(n, np.int64), np.empty(n)
-        for k in range(n):
-            place[k] = -ny * mean[index[k], 0] + nx * mean[index[k], 1]
-        make_heap(heap, n, place)
-        members: Any = np.empty(n, np.int64)
-        t = np.empty(n)
-        for k in range(n):
-            o = pop_least(heap, n - k, place)
-            members[k], t[k] = index[o], place[o]
+            members[near], places[near] = i, t
+            near += 1
+        if near == 0:
+            return 0
+        make_heap(heap, near, places)
         first, last, most = 0, 0, -1.0
-        start, total = 0, 0.0
-        for k in range(n):
-            if k > 0 and t[k] - t[k - 1] > gap:
+        start, total, before = 0, 0.0, 0.0
+        for k in range(near):
+            o = pop_least(heap, near - k, places)
+            order[k] = members[o]
+            if k > 0 and places[o] - before > gap:
                 start, total = k, 0.0
-            total += moments[members[k], 0]
+            before = places[o]
+            total += moments[order[k], 0]
             if total > most:
                 first, last, most = start, k, total
-        members = members[first : last + 1]
-        low, high = t[first], t[last]
-        m0, x, y, xx, xy, yy = _moments_of(members, mean, moments)
+        n = last + 1 - first
+        for k in range(n):
+            members[k] = order[first + k]
+        low = -ny * mean[members[0], 0] + nx * mean[members[0], 1]
+        high = -ny * mean[members[n - 1], 0] + nx * mean[members[n - 1], 1]
+        m0, x, y, xx, xy, yy = _moments_of(n, members, mean, moments)
         if m0 < min_hits or high - low + HIT_CELL < min_length:
-            return line, none
+            return 0
         if high - low > 2 * band or step == REFITS - 1:
             along = 0.5 * np.arctan2(2 * xy, xx - yy)
             ax, ay = -np.sin(along), np.cos(along)
@@ -312,9 +334,9 @@ def _fit_run(
             if ax * nx + ay * ny > MIN_AGREEMENT:
                 nx, ny = ax, ay
         d = nx * x + ny * y
-        low = high = -ny * mean[members[0], 0] + nx * mean[members[0], 1]
-        for i in members:
-            t_i = -ny * mean[i, 0] + nx * mean[i, 1]
-            low, high = min(low, t_i), max(high, t_i)
+        low, high = np.inf, -np.inf
+        for k in range(n):
+            t = -ny * mean[members[k], 0] + nx * mean[members[k], 1]
+            low, high = min(low, t), max(high, t)
     line[0], line[1], line[2], line[3], line[4] = nx, ny, d, low, high
-    return line, members
+    return n
