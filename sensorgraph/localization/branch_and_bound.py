@@ -213,11 +213,10 @@ def _best_first(
             lowest = max(lowest, int(np.ceil(ratio * found[0, 0])))
             continue
         half = 1 << (level - 1)
+        bounds = _bounds_of_children(levels, cells, level - 1, heading, dx, dy, lowest)
         for child in range(4):
-            x, y = dx + half * (child & 1), dy + half * (child >> 1)
-            is_inside = x <= reach[0] and y <= reach[1]
-            total = _bound(levels, cells, level - 1, heading, x, y, lowest) if is_inside else 0
-            if total < lowest:
+            x, y, total = dx + half * (child & 1), dy + half * (child >> 1), bounds[child]
+            if total < lowest or x > reach[0] or y > reach[1]:
                 continue
             if level == 1:  # the best pose is at least as good as this one
                 lowest = max(lowest, int(np.ceil(ratio * total)))
@@ -248,6 +247,38 @@ def _bound(
         if total + 255 * (n - 1 - k) < lowest:
             return 0
     return total
+
+
+@inner_kernel
+def _bounds_of_children(
+    levels: NDArray[np.uint8], cells: _Cells, level: int, heading: int, dx: int, dy: int, lowest: int
+) -> tuple[int, int, int, int]:
+    """Return `_bound` of the four children, at a level, of a node at (dx, dy): at the node, right of it, above, and both."""
+    pad = 1 << (levels.shape[0] - 1)
+    ny, nx = levels.shape[1], levels.shape[2]
+    half = 1 << level
+    a, b, c, d = 0, 0, 0, 0
+    n = cells.shape[1]
+    for k in range(n):
+        x, y = cells[heading, k, 0] + dx + pad, cells[heading, k, 1] + dy + pad
+        if x >= 0 and y >= 0 and x + half < nx and y + half < ny:
+            a += levels[level, y, x]
+            b += levels[level, y, x + half]
+            c += levels[level, y + half, x]
+            d += levels[level, y + half, x + half]
+        elif x + half >= 0 and y + half >= 0 and x < nx and y < ny:
+            is_right, is_above = x + half < nx, y + half < ny
+            if x >= 0 and y >= 0:
+                a += levels[level, y, x]
+            if y >= 0 and is_right:
+                b += levels[level, y, x + half]
+            if x >= 0 and is_above:
+                c += levels[level, y + half, x]
+            if is_right and is_above:
+                d += levels[level, y + half, x + half]
+        if max(max(a, b), max(c, d)) + 255 * (n - 1 - k) < lowest:
+            return 0, 0, 0, 0
+    return a, b, c, d
 
 
 @inner_kernel
