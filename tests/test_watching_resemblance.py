@@ -175,9 +175,10 @@ def test_the_likelihood_of_a_wide_mode_is_the_mean_over_its_parts() -> None:
 def test_a_mode_whose_unknown_surroundings_look_like_a_found_pose_keeps_its_lead() -> None:
     """Both predict the readings then, and only being carried there distinguishes them, once in ten hours."""
     main = Mode(pose=np.zeros(3), covariance=np.eye(3), score=0.0, number=1)
+    new = replace(Mode.found_at(np.ones(3)), number=2)
     scan = resemblance_of(at_poses((54, 6, 0, 0), (0, 0, 60, 0)), 0.125)
     gains = np.repeat(np.vstack([scan.here, scan.elsewhere])[None], 3, axis=0)
-    found, odds = found_mode(np.ones(3), 2, [main], -np.inf, gains, np.full(3, -12.0), PLACES)
+    found, odds = found_mode(new, [main], -np.inf, gains, np.full(3, -12.0), PLACES)
     assert found.score > 20.0  # by itself, it would be the more probable
     lead = main.resembling(2, float(odds[0])).score - found.score
     assert lead == pytest.approx(12.0 + math.log(2.0), abs=0.01)

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import takewhile
 
+import numpy as np
+
 from sensorgraph.localization.global_search import MIN_POINTS, LocalView
 from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
@@ -49,6 +51,12 @@ class KeptScans:
             if way < s.keep_distance and turn < s.keep_turn and now.changed < MAJORITY:
                 return
         self._scans.append(replace(now, fits=fits))
+
+    def log_carried(self) -> Floats:
+        """Return the logarithms (n,) of the probability that the robot was carried away just before each scan."""
+        stamps = np.array([one.observation.stamp for one in self._scans])
+        spans = np.diff(stamps, prepend=stamps[0] - self.priors.update_period)
+        return np.asarray(np.log(self.priors.carried * np.maximum(spans, 0.1)))
 
     def view(self) -> LocalView:
         """Join the scans since the last one that fitted, or all of them if it fits.

@@ -32,7 +32,7 @@ class LiveWatch:
     ) -> None:
         run = scans.wait(wait)
         self.scans, self.policy = scans, policy
-        self.watcher = Watcher(graph, run.sensor, baseline=policy.baseline)
+        self.watcher = Watcher(graph, run.sensor, baseline=policy.baseline, waits=False)
         self.epoch_ns = run.epoch_ns
         """[ns] Absolute time of stamp 0."""
         self.n_used, self.n_dropped = 0, 0

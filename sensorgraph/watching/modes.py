@@ -59,6 +59,12 @@ class Mode:
     resembles: Mapping[int, float] = field(default_factory=dict)
     """Number of another mode -> log-odds that what the graph does not know here resembles the surroundings there, against any."""
 
+    @classmethod
+    def found_at(cls, pose: Floats) -> Mode:
+        """Return a mode at a pose (3,) that a match of a search found."""
+        covariance = np.diag(np.array([0.05, 0.05, 0.02]) ** 2)
+        return cls(pose=pose, covariance=covariance, score=-math.inf, number=0, is_matched=True)
+
     def merged(self, other: Mode) -> Mode:
         """Return the mode with another that has met it: mean and covariance are those of both, by their probabilities."""
         share = math.exp(other.total - float(np.logaddexp(self.total, other.total)))
@@ -130,6 +136,14 @@ def corrected(mode: Mode, found: Match | None, priors: TrackingPriors = TRACKING
         nats = 0.5 * float(np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mode.covariance)[1])
         mode = mode.plus(min(nats, 0.0) - 0.5 * float(off @ np.linalg.solve(mode.covariance, off)))
     return replace(mode, pose=found.pose, covariance=covariance, is_matched=True)
+
+
+def moved_on(mode: Mode, place: KnownMap, step: Floats, deviations: Floats, now: ScanInput) -> Mode:
+    """Return a mode moved by the odometry (3,), with its standard deviations (3,), and corrected by a match of the scan."""
+    pose = compose(mode.pose, step)
+    covariance = moved_covariance(mode.covariance, mode.pose, step, deviations)
+    found = matched(place, pose, covariance, now)
+    return corrected(replace(mode, pose=pose, covariance=covariance, slips=False), found)
 
 
 def matched(place: KnownMap, pose: Floats, covariance: Floats, now: ScanInput) -> Match | None:
@@ -299,15 +313,9 @@ def found_scores(
 
 
 def found_mode(
-    pose: Floats,
-    number: int,
-    modes: Sequence[Mode],
-    elsewhere: float,
-    gains: Floats,
-    carried: Floats,
-    log_places: float,
+    found: Mode, modes: Sequence[Mode], elsewhere: float, gains: Floats, carried: Floats, log_places: float
 ) -> tuple[Mode, Floats]:
-    """Return a mode at a pose (3,) that a search found.
+    """Return a mode that a search found with its probability.
 
     The second value (n_modes,) holds the log-odds that the unknown surroundings of each other mode resemble those of the pose.
 
@@ -328,12 +336,8 @@ def found_mode(
         of_main = np.column_stack([np.logaddexp.reduce(since[:, k, 1:] + prior, axis=1), since[:, -1, k]])
     scores = found_scores(main, elsewhere, since[:, [0, -1], 0], of_main, carried) - log_places
     odds = since[0, 1:-1, 0] - np.diagonal(since[0])[1:] - log_places
-    covariance = np.diag(np.array([0.05, 0.05, 0.02]) ** 2)
     score, alike = scores.tolist()
-    mode = Mode(
-        pose=pose, covariance=covariance, score=score, alike=alike, number=number, is_matched=True,
-    )  # fmt: skip
-    return mode, odds
+    return replace(found, score=score, alike=alike), odds
 
 
 def joined(modes: Sequence[Mode], found: Mode, odds: Floats) -> list[Mode]:

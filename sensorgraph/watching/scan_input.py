@@ -99,15 +99,20 @@ def odometry_step(
     if last is None:
         return 0.0, np.zeros(3), np.zeros(3), False
     dt = max(now.stamp - last.stamp, 0.0)
-    floor = np.asarray(priors.odometry_floor)
     if now.odometry is None or last.odometry is None:
         return dt, driven_on(velocity, dt, priors), unknown_deviations(dt, priors), False
     step = compose(invert(last.odometry), now.odometry)
-    way, turn = float(np.hypot(step[0], step[1])), float(abs(step[2]))
+    way = float(np.hypot(step[0], step[1]))
     if not way <= priors.max_speed * max(dt, 0.2):  # also if it is not finite
-        return dt, np.zeros(3), floor + 1.0, True
+        return dt, np.zeros(3), np.asarray(priors.odometry_floor) + 1.0, True
+    return dt, step, odometry_deviations(step, priors), False
+
+
+def odometry_deviations(step: Floats, priors: TrackingPriors) -> Floats:
+    """Return the standard deviations (3,) [m, m, rad] of a step (3,) of the odometry."""
+    way, turn = float(np.hypot(step[0], step[1])), float(abs(step[2]))
     scale = way * np.asarray(priors.odometry_per_metre) + turn * np.asarray(priors.odometry_per_turn)
-    return dt, step, floor + scale, False
+    return np.asarray(priors.odometry_floor) + scale
 
 
 def unknown_deviations(dt: float, priors: TrackingPriors) -> Floats:

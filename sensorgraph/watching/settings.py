@@ -87,6 +87,8 @@ class TrackingPriors:
     """Number of poses that are followed at once."""
     n_kept: int = 5
     """Number of scans that a search joins."""
+    search_time: float = 0.5
+    """[s] after which the results of a search of the whole place are used: about the time that it takes."""
     keep_distance: float = 0.3
     """[m] Distance between these; `keep_turn` likewise."""
     keep_turn: float = 0.3

@@ -26,13 +26,12 @@ import numpy as np
 
 from logs.transforms import compose, invert
 from sensorgraph.graph import Sensorgraph
-from sensorgraph.localization.branch_and_bound import SearchWindow
-from sensorgraph.localization.global_search import find_places
 from sensorgraph.localization.graph_walls import walls_of_graph
 from sensorgraph.localization.known_map import known_map
 from sensorgraph.types import Bools, Floats
 from sensorgraph.watching.kept_scans import KeptScans
 from sensorgraph.watching.laser_errors import RangeOffset
+from sensorgraph.watching.missing import MissingEvidence
 from sensorgraph.watching.modes import (
     Mode,
     corrected,
@@ -41,6 +40,7 @@ from sensorgraph.watching.modes import (
     found_mode,
     joined,
     matched,
+    moved_on,
     pruned,
     slipped,
     surroundings_of,
@@ -56,26 +56,33 @@ from sensorgraph.watching.scan_input import (
     at_stamp,
     changed_share,
     driven_on,
-    moved_covariance,
     new_share,
     odometry_step,
     points_of,
 )
+from sensorgraph.watching.search import PlaceSearch
 from sensorgraph.watching.settings import PLACE, TRACKING, TrackingPriors
-
-FITTING = 0.7
-"""Share of the usual evidence above which readings fit a pose."""
 
 
 class PoseTracker:
-    """Follows a robot; `update` takes one scan after the other."""
+    """Follows a robot; `update` takes one scan after the other.
+
+    Parameters
+    ----------
+    waits : Whether scans wait for a search that takes longer than stated, as those of a log can. If not, its results are late.
+    """
 
     def __init__(
-        self, graph: Sensorgraph, readings: GraphReadings, priors: TrackingPriors = TRACKING
+        self,
+        graph: Sensorgraph,
+        readings: GraphReadings,
+        priors: TrackingPriors = TRACKING,
+        *,
+        waits: bool = True,
     ) -> None:
         walls, normals = walls_of_graph(graph)
         self.place = known_map(walls, readings.seen, normals)
-        self.readings, self.priors = readings, priors
+        self.readings, self.priors, self.waits = readings, priors, waits
         area, (side, turn) = readings.seen.area, priors.place_size
         self.log_places = math.log(max(area / side**2, 1.0) * 2 * math.pi / turn)
         """Logarithm of the number of places that can be told apart."""
@@ -85,13 +92,10 @@ class PoseTracker:
         self.usable: Bools = np.ones(len(readings.rays), dtype=np.bool_)
         """Rays whose readings count; those of a blocked sector do not."""
         self.offset = RangeOffset()
-        self.usual = readings.expected
-        """[nats] Usual evidence of an answered reading."""
-        self.missing = 0.0
-        """[nats] Evidence that another place could add since the scans fit less well than usual."""
-        self.limit = self.log_places
-        """[nats] Missing evidence from which a search is worthwhile: what a found pose pays. It doubles with each search in vain."""
+        self.missing = MissingEvidence(readings.expected, self.log_places, priors)
         self.kept, self.has_searched = KeptScans(priors), False
+        self.search: PlaceSearch | None = None
+        """The last search, which goes on in parallel."""
         self.drift, self.velocity = np.zeros(3), np.zeros(3)
         self.error, self.slip = np.zeros(3), np.zeros(3)
         """[m/s, m/s, rad/s] Error of the odometry's speed in the last step, and in both of the last two: slip lasts."""
@@ -117,9 +121,13 @@ class PoseTracker:
         return math.exp(self.elsewhere) + sum(math.exp(mode.alike) for mode in self.modes)
 
     def is_due(self, observation: Observation) -> bool:
-        """Tell whether a scan is far enough from the last one to be used."""
+        """Tell whether a scan is far enough from the last one to be used, or must weigh a pose that was found."""
         last, s = self._last, self.priors
-        if last is None or observation.stamp - last.stamp >= s.update_period:
+        if (
+            last is None
+            or (self.search is not None and self.search.ready)
+            or observation.stamp - last.stamp >= s.update_period
+        ):
             return True
         if last.odometry is None or observation.odometry is None:
             return observation.stamp - last.stamp >= 0.5 * s.update_period
@@ -138,14 +146,14 @@ class PoseTracker:
 
     def restart_clock(self) -> None:
         """Forget the last scan: its stamp says nothing about the time since."""
-        self._last = None
+        self._last = self.search = None
 
     def update(self, observation: Observation) -> ScanInput:
         """Take one scan; return it as it was used."""
         s = self.priors
         dt, step, deviations, is_jump = odometry_step(self._last, observation, self.velocity, s)
         if is_jump:
-            self.missing = math.inf
+            self.missing.nats = math.inf
         velocity = step / dt if dt > 0 and not is_jump and step.any() else self.velocity
         scan = points_of(self.readings.sensor, observation, velocity)
         slip = self.slip * dt
@@ -158,6 +166,8 @@ class PoseTracker:
         now = ScanInput(observation=seen, scan=scan, drift=self.drift, weight=weight, changed=changed)
         before = self.main
         expected = np.hypot(deviations, slip)
+        if self.search is not None:
+            self.search.follow(step, expected, now)
         self.modes = [one for mode in self.modes for one in self._moved(mode, step, expected, dt, now)]
         self._add_belief(now)
         self._weigh(now, dt)
@@ -165,11 +175,17 @@ class PoseTracker:
         is_known = main is not None and main.is_matched and main.answered > s.answered
         moved = float(np.hypot(step[0], step[1])) * (-1.0 if is_known else 1.0)
         self.alone = min(max(self.alone + moved, 0.0), 2.0 * s.alone)
-        self.kept.add(now, fits=main is not None and main.evidence > FITTING * self.usual)
-        if self.missing > self.limit:
-            self._search()
+        self.kept.add(now, fits=self.missing.fits(main))
+        if self.search is not None and self.search.ready:
+            self._add_found(self.search.ready.pop())
+        if self.search is not None and self.search.is_done:
+            self.search = None
+        if self.missing.is_enough and self.search is None:
+            self._search(now)
         self.modes = pruned(self.modes, s)
         self._normalise()
+        if before is not None and self.main is not None and self.main.number != before.number:
+            self.missing.nats = 0.0  # this was the evidence that the mode before lacked
         self.velocity = velocity_of(before, self.main, dt, s.max_speed, self.velocity)
         error = error_of_step(before, self.main, step, deviations, dt)
         self.slip, self.error = np.minimum(error, self.error), error
@@ -177,12 +193,9 @@ class PoseTracker:
 
     def _moved(self, mode: Mode, step: Floats, deviations: Floats, dt: float, now: ScanInput) -> list[Mode]:
         """Move a mode by the odometry and match the scan there; without a match, the odometry may have failed as well."""
-        pose = compose(mode.pose, step)
-        covariance = moved_covariance(mode.covariance, mode.pose, step, deviations)
-        found = matched(self.place, pose, covariance, now)
-        moved = corrected(replace(mode, pose=pose, covariance=covariance, slips=False), found)
+        moved = moved_on(mode, self.place, step, deviations, now)
         # where nothing is known, nothing shows slip
-        if found is not None or mode.answered <= self.priors.answered:
+        if moved.is_matched or mode.answered <= self.priors.answered:
             return [moved]
         least = max(one.total for one in self.modes) - self.priors.dropped
         other = slipped(mode, self.place, now, self.velocity, dt, least, self.priors)
@@ -218,10 +231,9 @@ class PoseTracker:
     def _weigh(self, now: ScanInput, dt: float) -> None:
         """Weigh modes and elsewhere by the readings; the robot may have been carried away since the last scan."""
         s = self.priors
+        n = self.readings.n_independent(now.observation.ranges)
         if not self.modes:
-            self.missing += (
-                now.weight * self.usual * self.readings.n_independent(now.observation.ranges) + 1.0
-            )
+            self.missing.add(None, n, now.weight)
             return
         self._correct(now)
         found = self._evidence(now, np.array([mode.pose for mode in self.modes]))
@@ -236,7 +248,7 @@ class PoseTracker:
         self.modes = [exchanged(mode, carried) for mode in self.modes]
         self.modes = weighed(self.modes, found, self._share(now), now.weight, self.log_places, s)
         self._normalise()
-        self._count_missing(now)
+        self.missing.add(self.main, n, now.weight)
 
     def _correct(self, now: ScanInput) -> None:
         """Correct the modes by the evidence of the readings, where the scan matches no surfaces."""
@@ -256,58 +268,34 @@ class PoseTracker:
     def _share(self, now: ScanInput) -> float:
         return self.readings.n_independent(now.observation.ranges) / max(len(self.readings.of_pose), 1)
 
-    def _count_missing(self, now: ScanInput) -> None:
-        """Add up how much evidence another place could gain, and follow the usual evidence."""
-        main, s = self.main, self.priors
-        assert main is not None
-        n = self.readings.n_independent(now.observation.ranges) * main.answered
-        self.missing = max(self.missing + now.weight * n * (FITTING * self.usual - main.evidence), 0.0)
-        if self.missing == 0.0:
-            self.limit = self.log_places
-        if math.exp(main.score) > 0.99 and main.answered > 0.5 and main.is_matched:
-            share = min(now.weight * s.independent_distance / s.usual_distance, 1.0)
-            self.usual += share * (main.evidence - self.usual)
-
-    def _search(self) -> None:
-        """Search the surroundings of the most probable mode, and the whole place, for other modes.
+    def _search(self, now: ScanInput) -> None:
+        """Begin a search of the surroundings of the most probable mode, and of the whole place, for other modes.
 
         The tracking failed, or the robot was carried: the missing evidence does not distinguish these, and both have one rate.
         """
-        self.limit = min(2.0 * max(self.limit, 1.0), 64.0 * self.log_places)
-        self.missing, self.has_searched, main = 0.0, True, self.main
+        self.missing.begin_search()
+        self.has_searched, main = True, self.main
         if not self.kept:
             return
-        if main is not None:
-            back = compose(invert(self.drift), self.kept.last_drift)
-            self._search_in(surroundings_of(main, back))
-        self._search_in(None)
+        step = compose(invert(self.kept.last_drift), self.drift)
+        window = None if main is None else surroundings_of(main, invert(step))
+        self.search = PlaceSearch(
+            self.kept, window, self.place, self.readings.sees, self.priors, now, waits=self.waits
+        )
 
-    def _search_in(self, window: SearchWindow | None) -> None:
-        """Add the poses at which the kept scans fit in a window as modes; None: in the whole place."""
-        last = self.kept.last_drift
-        found = find_places(self.kept.view(), self.place, window=window).poses
-        # from the others, the graph has seen nothing: they are none of its places, and a robot there is elsewhere
-        found = found[self.readings.sees(found)][: self.priors.n_modes]
-        matched_modes = [mode for mode in self.modes if mode.is_matched]
-        poses = [compose(pose, compose(invert(last), self.drift)) for pose in found]
-        is_new = [not any(one.is_at(pose, self.priors.tolerance) for one in matched_modes) for pose in poses]
-        for mode, odds in [self._found(pose) for pose, new in zip(poses, is_new, strict=True) if new]:
-            self.modes = joined(self.modes, mode, odds)
-
-    def _found(self, pose: Floats) -> tuple[Mode, Floats]:
-        """Return a mode at a pose found by a search, and odds as `found_mode` does, by the evidence of all scans that are kept."""
-        s, gains = self.priors, []
+    def _add_found(self, found: Mode) -> None:
+        """Add a mode that a search found, if no other is there, weighed by the evidence of all scans that are kept."""
+        if any(mode.is_matched and mode.is_at(found.pose, self.priors.tolerance) for mode in self.modes):
+            return
+        gains = []
         for one in self.kept:
             then = compose(invert(self.drift), one.drift)
-            poses = np.array([compose(at, then) for at in (pose, *(mode.pose for mode in self.modes))])
+            poses = np.array([compose(mode.pose, then) for mode in (found, *self.modes)])
             of_scan = resemblance_of(self._evidence(one, poses), self._share(one))
             gains.append(one.weight * np.vstack([of_scan.here, of_scan.elsewhere]))
-        stamps = np.array([one.observation.stamp for one in self.kept])
-        spans = np.diff(stamps, prepend=stamps[0] - s.update_period)
-        carried = np.log(s.carried * np.maximum(spans, 0.1))
-        return found_mode(
-            pose, next(self._numbers), self.modes, self.elsewhere, np.array(gains), carried, self.log_places
-        )
+        new, carried = replace(found, number=next(self._numbers)), self.kept.log_carried()
+        mode, odds = found_mode(new, self.modes, self.elsewhere, np.array(gains), carried, self.log_places)
+        self.modes = joined(self.modes, mode, odds)
 
     def _normalise(self) -> None:
         total = float(np.logaddexp.reduce([self.elsewhere, *(mode.total for mode in self.modes)]))

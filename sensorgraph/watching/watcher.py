@@ -42,6 +42,8 @@ class Watcher:
     ----------
     sensor : Laser of the scans, with its mount. None: as in the graph.
     baseline : Fault -> size of a healthy robot, from good runs (`policy`).
+    waits : Whether scans wait for a search for the robot that takes longer than stated, so that a log has the same result on
+        each machine.
 
     Raises
     ------
@@ -54,10 +56,11 @@ class Watcher:
         sensor: RangeSensor | None = None,
         *,
         baseline: Mapping[str, Baseline] | None = None,
+        waits: bool = True,
     ) -> None:
         self.graph = graph
         self.readings = GraphReadings(graph, graph.sensor if sensor is None else sensor)
-        self.tracker = PoseTracker(graph, self.readings)
+        self.tracker = PoseTracker(graph, self.readings, waits=waits)
         self.judge = PoseJudge(self.tracker)
         window = self.tracker.place.window
         half = np.array([window.half_x, window.half_y]) + MARGIN
