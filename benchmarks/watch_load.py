@@ -1,6 +1,7 @@
 """Load, latency and memory of `watch`: a laser of 1,081 rays at 40 Hz in the shipped office, for hours.
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.watch_load --minutes 4 --hours 2
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.watch_load --minutes 4 --hours 0.1 --carried 20 --paced
 
 A simulated robot drives through viewpoints of the office for `--minutes`, twice with other noise: the first drive makes the
 graph, the second one is watched, forward and backward in turn, until `--hours` of driving have passed. Prints
@@ -8,6 +9,9 @@ graph, the second one is watched, forward and backward in turn, until `--hours` 
 - the CPU time over the time driven: the load on one core
 - the time from a scan to its end, for scans without and with a statement: the latency
 - the resident memory after each tenth of the hours, with its slope from the second tenth on
+
+With `--carried`, the robot is carried to another place every so many seconds, believes that it was not, and is searched for. With
+`--paced`, each scan arrives at its stamp, as live, so that the searches compete with the scans as they do on a robot.
 """
 
 from __future__ import annotations
@@ -17,7 +21,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from itertools import count
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -28,6 +31,7 @@ import sensorgraph as sg
 from benchmarks.arguments import parser_of
 from benchmarks.particle_filter import driven
 from logs.run import Run
+from logs.transforms import compose, invert
 from sensorgraph.watching.observation import Observation
 from sensorgraph.watching.watcher import Watcher
 
@@ -80,32 +84,43 @@ def _shortened(run: Run, minutes: float) -> Run:
     return run.take_scans(np.arange(np.searchsorted(run.stamps, run.stamps[0] + 60 * minutes)))
 
 
-def to_and_fro(folder: Path, rate: float, seconds: float) -> Iterator[Observation]:
-    """Yield the scans of a drive forward and backward in turn, with odometry and the true pose as belief."""
+def to_and_fro(folder: Path, rate: float, seconds: float, carried: float) -> Iterator[Observation]:
+    """Yield the scans of a drive forward and backward in turn, with odometry and the true pose as belief.
+
+    Every `carried` seconds the drive goes on at a random scan, of which odometry and belief know nothing.
+    """
     ranges, odometry, poses = (
         np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("ranges", "odometry", "poses")
     )
-    clock = count()
-    for lap in count():
-        order = np.arange(len(ranges))
-        for k in order if lap % 2 == 0 else order[::-1]:
-            stamp = next(clock) / rate
-            if stamp > seconds:
-                return
-            yield Observation(
-                stamp=stamp,
-                ranges=np.array(ranges[k]),
-                odometry=np.array(odometry[k]),
-                believed=np.array(poses[k]),
-            )
+    n, rng, k, ahead, next_time = len(ranges), np.random.default_rng(0), 0, 1, carried
+    moved = [np.zeros(3), np.zeros(3)]  # from odometry and pose of the drive to those of the robot
+    for stamp in np.arange(0.0, seconds, 1.0 / rate):
+        if stamp >= next_time:
+            there, next_time = int(rng.integers(n)), next_time + carried
+            moved = [
+                compose(compose(off, one[k]), invert(one[there]))
+                for off, one in zip(moved, (odometry, poses), strict=True)
+            ]
+            k = there
+        yield Observation(
+            stamp=float(stamp),
+            ranges=np.array(ranges[k]),
+            odometry=compose(moved[0], odometry[k]),
+            believed=compose(moved[1], poses[k]),
+        )
+        if not 0 <= k + ahead < n:
+            ahead = -ahead
+        k += ahead
 
 
-def watch(folder: Path, rate: float, hours: float) -> None:
+def watch(folder: Path, rate: float, hours: float, *, carried: float, paced: bool) -> None:
     """Watch the drive and print the tables."""
-    watcher, seconds = Watcher(sg.load(folder / "office.sensorgraph")), 3600 * hours
+    watcher, seconds = Watcher(sg.load(folder / "office.sensorgraph"), waits=not paced), 3600 * hours
     plain, stating, told, wrong = Latencies(), Latencies(), [], 0
-    mark, began, last = 0.1, time.process_time(), 0.0
-    for one in to_and_fro(folder, rate, seconds):
+    mark, began, last, first = 0.1, time.process_time(), 0.0, time.perf_counter()
+    for one in to_and_fro(folder, rate, seconds, carried):
+        if paced:
+            time.sleep(max(first + one.stamp - time.perf_counter(), 0.0))
         start = time.perf_counter()
         status = watcher.add(one)
         (plain if status is None else stating).add(time.perf_counter() - start)
@@ -123,7 +138,7 @@ def watch(folder: Path, rate: float, hours: float) -> None:
     )
     for name, each in (("without", plain), ("with", stating)):
         print(f"latency {name} a statement: median below {each.quantile(0.5):.1f} ms, 99 % {each.quantile(0.99):.1f} ms, "
-              f"longest {1e3 * each.longest:.1f} ms, {each.counts.sum():,} scans")  # fmt: skip
+              f"99.9 % {each.quantile(0.999):.1f} ms, longest {1e3 * each.longest:.1f} ms, {each.counts.sum():,} scans")  # fmt: skip
     slope = np.polyfit(np.arange(1, len(told)), told[1:], 1)[0] / (0.1 * hours) if len(told) > 3 else np.nan
     print(f"memory: {told[-1]:.0f} MB, {slope:+.1f} MB an hour of driving")
 
@@ -134,6 +149,8 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=4.0)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--rate", type=float, default=40.0, help="[Hz] of the laser")
+    parser.add_argument("--carried", type=float, default=np.inf, help="[s] of driving between two kidnaps")
+    parser.add_argument("--paced", action="store_true", help="each scan arrives at its stamp")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -141,7 +158,7 @@ def main() -> None:
             1, mp_context=get_context("spawn")
         ) as maker:  # its memory is not that of `watch`
             maker.submit(make, folder, options.minutes, options.rate).result()
-        watch(folder, options.rate, options.hours)
+        watch(folder, options.rate, options.hours, carried=options.carried, paced=options.paced)
 
 
 if __name__ == "__main__":
