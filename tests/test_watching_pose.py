@@ -323,3 +323,18 @@ def test_a_belief_at_none_of_several_possible_poses_is_off(
     said = [judge.state(scan) for _ in range(5)][-1]
     assert said.status == status
     assert "(5.00, 2.00) m" in said.sentence() and "(1.0, 3.0) m" in said.sentence()
+
+
+def test_a_robot_that_is_lost_or_off_is_not_ok_because_neither_is_the_more_probable_half() -> None:
+    tracker = PoseTracker(graph(), GraphReadings(graph(), graph().sensor))
+    believed = np.array([4.0, 3.0, 1.0])
+    scan = Observation(stamp=1.0, ranges=np.full(graph().sensor.n_rays, 2.0), believed=believed)
+    there = Mode(
+        pose=np.array([5.0, 2.0, 0.0]), covariance=1e-4 * np.eye(3), score=math.log(0.505), number=1, is_matched=True, answered=1.0
+    )  # fmt: skip
+    tracker.elsewhere = math.log(0.495)
+    tracker.modes = [there]
+    judge = PoseJudge(tracker)
+    said = [judge.state(scan) for _ in range(5)][-1]
+    assert said.p_wrong > 0.9 and said.p < 0.5
+    assert said.status in ("off", "lost")

@@ -173,16 +173,15 @@ def state_pose(tracker: PoseTracker, observation: Observation, judge: PoseJudge)
     p_off = max(1.0 - p_lost - p_ok, 0.0)
     status: PoseWord = "ok"
     p = p_ok
-    if p_lost > 0.5:
-        status, p = "lost", p_lost
-    elif believed is not None and p_off > 0.5:  # at whichever of several poses the robot is
-        status, p = "off", p_off
+    p_wrong = p_lost + (p_off if believed is not None else 0.0)  # at whichever of several poses the robot is
+    if p_wrong > 0.5:
+        status, p = ("lost", p_lost) if p_lost > p_wrong - p_lost else ("off", p_off)
     elif others and best < 0.9 * (1.0 - p_lost):
         status, p = "ambiguous", 1.0 - best
     if not (is_known and main.is_matched):  # nothing that the graph knows is in sight: no news
         if before == "lost" and np.sqrt(main.covariance[:2, :2].trace()) > priors.tolerance[0]:
             status, p = "lost", max(p_lost, 1.0 - p_ok)
-        elif before == "ok" and status in ("off", "ambiguous"):
+        elif before == "ok" and p_lost <= 0.5:
             status, p = "ok", p_ok
     return PoseStatement(
         status=status, p=min(p, 1.0), pose=main.pose, deviations=np.sqrt(np.diag(main.covariance)), offset=offset,
