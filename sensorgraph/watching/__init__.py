@@ -3,7 +3,8 @@
 * `observation`: one scan with odometry and the pose that the robot believes; from a run, or live.
 * `readings`: evidence of each ray for a pose, against a ray from anywhere in the place.
 * `resemblance`: evidence of a scan for a pose, against another place that resembles it.
-* `tracker`, `modes`, `scan_input`, `kept_scans`: a filter over several possible poses and "elsewhere", with a global search.
+* `tracker`, `modes`, `scan_input`: a filter over several possible poses and "elsewhere".
+* `missing`, `search`, `kept_scans`: when the scans may fit better at another pose, and a search for it in parallel.
 * `pose`: is the believed pose right.
 * `place`: what stands there that the graph lacks, and what is gone.
 * `odometry_errors`, `laser_errors`, `evidence`, `robot`: hypotheses about laser and wheels, with their evidence.
