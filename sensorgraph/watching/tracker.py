@@ -184,8 +184,6 @@ class PoseTracker:
             self._search(now)
         self.modes = pruned(self.modes, s)
         self._normalise()
-        if before is not None and self.main is not None and self.main.number != before.number:
-            self.missing.nats = 0.0  # this was the evidence that the mode before lacked
         self.velocity = velocity_of(before, self.main, dt, s.max_speed, self.velocity)
         error = error_of_step(before, self.main, step, deviations, dt)
         self.slip, self.error = np.minimum(error, self.error), error
@@ -296,6 +294,8 @@ class PoseTracker:
         new, carried = replace(found, number=next(self._numbers)), self.kept.log_carried()
         mode, odds = found_mode(new, self.modes, self.elsewhere, np.array(gains), carried, self.log_places)
         self.modes = joined(self.modes, mode, odds)
+        if self.main is mode:
+            self.missing.nats = 0.0  # this was the evidence that the mode before lacked
 
     def _normalise(self) -> None:
         total = float(np.logaddexp.reduce([self.elsewhere, *(mode.total for mode in self.modes)]))
