@@ -11,6 +11,7 @@ from scan_samples import drive
 
 from logs.run import Run
 from planners.arena import Arena, wrap
+from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.scan.cast_place import as_pose_errors, errors_of_laser
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, is_reference_wide
@@ -108,6 +109,21 @@ def test_a_usual_reference_keeps_its_casts(legs: Arena) -> None:
     data = prepare_scans(drive(legs, n=60), legs, parse_robot("sensor: {n_rays: 61}"))[0]
     assert not is_reference_wide(data)
     assert at_likely_poses(data, SCAN.noise) is data
+
+
+def test_a_mount_far_beyond_its_tolerance_moves_the_casts_and_is_found(legs: Arena) -> None:
+    """The stated tolerances are narrow, but the laser is 3 cm and 1 degree off, so that other rays meet the legs."""
+    hidden = EFFECTS["mount_xy"](dx=0.023, dy=0.019), EFFECTS["mount_yaw"](delta=-0.017)
+    robot = parse_robot("{sensor: {n_rays: 61}, tolerances: {pose_xy: 0.0022, pose_yaw: 0.0015}}")
+    run = drive(legs, hidden, n=120)
+    data = prepare_scans(run, legs, robot)[0]
+    assert not is_reference_wide(data)
+    assert fitted(at_likely_poses(data, SCAN.noise)).j > fitted(data).j + 200
+    finding = diagnose(run, legs, robot, plan_next=False)
+    assert {a.name for a in finding.effects} == {"mount_xy", "mount_yaw"} and finding.unknown is None
+    for a in finding.effects:
+        (true,) = (one for one in hidden if one.name == a.name)
+        assert all(abs(a[k] - true[k]) < 3 * a.stderr[k] for k in true.parameters)
 
 
 @pytest.mark.parametrize(

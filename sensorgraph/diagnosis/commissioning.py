@@ -22,7 +22,7 @@ import numpy as np
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnosis.raster_map import raster_map_of, without_unknown_space
-from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
+from sensorgraph.diagnosis.scan.fit import Fitted, bare_fit, fit
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
@@ -118,7 +118,7 @@ def learnt(
     parts = [window for n in cuts for window in data.windows(n)]
     fits = []
     for window in parts:
-        fits.append(fit(window, (), start_state(window, noise), noise))
+        fits.append(bare_fit(window, noise))
         work.add(1)
     bounds = noise_bounds(fits)
     levels: list[tuple[WindowEstimate, ...]] = []
@@ -154,7 +154,7 @@ def prepared(run: Run, arena: Arena, robot: Robot) -> ScanData:
     else:
         data, _ = without_unknown_space(prepare_scans(run, arena, robot)[0])
     data = at_likely_poses(replace(data, laser_frame=False), noise)
-    null = fit(data, (), start_state(data, noise), noise)
+    null = bare_fit(data, noise)
     sensor = data.sensor
     for found in quantisation.propose(FitResiduals(data, null)):
         sensor = replace(sensor, resolution=found.values["q"])
@@ -191,7 +191,7 @@ def _hull(intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 def window_estimate(data: ScanData, bounds: NoiseBounds, rng: np.random.Generator) -> WindowEstimate:
     """Evaluate one window of a known-good run like a run under test."""
-    null = fit(data, (), start_state(data, bounds), bounds)
+    null = bare_fit(data, bounds)
     gains, sizes = clutter_gains(data, null, bounds)
     smooth, stderrs = single_effects(null)
     return WindowEstimate(
@@ -217,7 +217,7 @@ def hidden_by_scraps(arena: Arena) -> tuple[str, ...]:
 def site_effects(data: ScanData) -> tuple[Amendment, ...]:
     """Fit the effects that a site may always show, one after another, while the evidence suffices."""
     noise = SCAN.site.wide_noise
-    current = fit(data, (), start_state(data, noise), noise)
+    current = bare_fit(data, noise)
     left = site_starts()
     while left:
         tried = [with_site_effect(data, current, start) for start in left]
@@ -236,7 +236,7 @@ def range_effects(data: ScanData) -> tuple[Amendment, ...]:
     The noise is not included: a mean over runs would hide the small noise of a calm run.
     """
     noise = SCAN.site.wide_noise
-    current = fit(data, (), start_state(data, noise), noise)
+    current = bare_fit(data, noise)
     for start in site_starts():
         if start.effect.nuisances:
             current = with_site_effect(data, current, start)

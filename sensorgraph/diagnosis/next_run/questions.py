@@ -18,7 +18,7 @@ from sensorgraph.diagnosis.next_run.design import MAX_DESCRIBED, motion_samples
 from sensorgraph.diagnosis.next_run.drives import DrivableSpace, MotionKind, candidate_motions
 from sensorgraph.diagnosis.next_run.forecast import DECIDED_NATS, OpenQuestion, planned_scans
 from sensorgraph.diagnosis.result import ChannelResult
-from sensorgraph.diagnosis.scan.fit import cast, fit, start_state
+from sensorgraph.diagnosis.scan.fit import bare_fit, cast
 from sensorgraph.diagnosis.scan.observability import RunExposure, separation
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment
@@ -158,7 +158,7 @@ class RoomExposure:
         scans = planned_scans(samples, self.arena, self.robot, self.duration)
         expected = cast(scans, ()).expected
         scans.ranges[:] = np.where(expected.p_return > 0.5, expected.reading, np.inf)
-        fitted = fit(scans, (), start_state(scans, SCAN.noise), SCAN.noise)
+        fitted = bare_fit(scans, SCAN.noise)
         sensor = self.robot.sensor
         share = scans.ranges.size / len(spins) / (self.duration * sensor.rate * sensor.n_rays)
         return RunExposure(scans, fitted), share

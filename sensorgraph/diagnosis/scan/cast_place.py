@@ -48,12 +48,12 @@ def is_cast_at(data: ScanData, state: State) -> bool:
 def for_model(data: ScanData, state: State, model: Sequence[Amendment]) -> State:
     """Return the start state for the fit of another model, with the laser of each scan at the same place.
 
-    Where casts are made at likely poses, the pose errors compensate each change of mount and delay in the model.
-    Otherwise such an effect would move all casts by an amount that the poses already contain.
+    The pose errors compensate each change of mount and delay in the model, because the poses have absorbed such an effect before
+    it is in the model. Otherwise it would count twice at the start, and most readings would look like outliers.
     """
     values = pose_like(model)
-    if data.posed is None or (values == state.effects).all():
-        return replace(state, effects=values)
+    if (values == state.effects).all():
+        return state
     off = as_pose_errors(data, state.effects - values)
     posed = None if state.posed is None else state.posed + off
     return replace(state, effects=values, delta=state.delta + off, posed=posed)

@@ -197,8 +197,8 @@ def fit(
     state.noise = state.noise.within(noise_bounds)
     corners = corners_of(data)
     held_at_0 = locked(data, model, corners)
-    if data.posed is not None:  # the laser keeps its place: the poses absorb the errors of mount and delay
-        state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[list(POSE_LIKE)])
+    # the laser keeps its place: the poses absorb the errors of mount and delay
+    state.delta = state.delta + as_pose_errors(data, np.where(held_at_0, state.g, 0.0)[list(POSE_LIKE)])
     state.g[held_at_0] = 0.0
     is_laid, is_cast = data.grain > 0, False
     for _ in range(SCAN.fit.casts):
@@ -229,6 +229,12 @@ def fit(
     if state.posed is not None:  # the laser stays where it was cast from, although effects have moved it
         state.posed = state.posed - as_pose_errors(data, state.effects - pose_like(best.model))
     return Fitted(model=final, solution=best.solution, cast=best.cast, solver=best.solver)
+
+
+def bare_fit(data: ScanData, noise_bounds: NoiseBounds) -> Fitted:
+    """Return the fit without effects from the prior; it is made once for the same data and bounds."""
+    key = f"bare fit|{noise_bounds!r}".encode()
+    return data.kept(key, lambda: fit(data, (), start_state(data, noise_bounds), noise_bounds))
 
 
 def _settled(solution: Solution) -> bool:

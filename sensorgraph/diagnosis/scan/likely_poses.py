@@ -7,54 +7,78 @@ from dataclasses import replace
 import numpy as np
 
 from planners.arena import wrap
-from sensorgraph.diagnosis.scan.cast_place import errors_of_laser
-from sensorgraph.diagnosis.scan.fit import fit, start_state
+from sensorgraph.diagnosis.scan.cast_place import as_pose_errors, errors_of_laser
+from sensorgraph.diagnosis.scan.fit import bare_fit
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.types import Bools
+from sensorgraph.effects.nuisance import POSE_LIKE
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.ray_order import neighbouring_rays
 from sensorgraph.world.robot import Tolerances
 
 
 def at_likely_poses(data: ScanData, noise_bounds: NoiseBounds, *, even_rays: bool = False) -> ScanData:
-    """Return scans that are cast at the poses of a fit without effects, if the reference is wide.
+    """Return scans that are cast at the poses of a fit without effects, if the reference is wide, or proves to be.
 
     Parameters
     ----------
     even_rays : Whether the poses are estimated only from every other ray, so that the others can test them.
     """
-    if not is_reference_wide(data):
-        return data
+    return _cast_there(data, noise_bounds, even_rays) if _proves_wide(data, noise_bounds) else data
+
+
+def _cast_there(data: ScanData, noise_bounds: NoiseBounds, even_rays: bool) -> ScanData:
     data = data.posed_by(np.zeros((data.n_scans, 3)))
     odd = np.arange(data.n_rays) % 2 == 1
     seen = data
     if even_rays:
         seen = replace(data, ranges=np.where(odd, np.nan, data.ranges), memo={})
-    state = start_state(seen, noise_bounds)
-    got = fit(seen, (), state, noise_bounds)
+    got = bare_fit(seen, noise_bounds)
     return data.posed_by(errors_of_laser(data, got.state))
 
 
+def _proves_wide(data: ScanData, noise_bounds: NoiseBounds) -> bool:
+    """Return whether the reference is wide, as stated, or by the mount error and the delay that poses absorb in a fit without effects."""
+    if is_reference_wide(data):
+        return True
+    errors = errors_of_laser(data, bare_fit(data, noise_bounds).state)
+    x, y, yaw = np.sqrt(np.mean(_of_mount_and_delay(data, errors) ** 2, axis=0))
+    return _is_wide(data, np.hypot(x, y), yaw)
+
+
+def _of_mount_and_delay(data: ScanData, errors: Floats) -> Floats:
+    """Return the part of pose errors (n_scans, 3) that one mount error and one delay of all scans explain."""
+    columns = np.stack([as_pose_errors(data, unit) for unit in np.eye(len(POSE_LIKE))], axis=-1)
+    t = data.tolerances
+    weight = 1 / np.array([t.pose_xy, t.pose_xy, t.pose_yaw])
+    rows = (weight[:, None] * columns).reshape(-1, len(POSE_LIKE))
+    return np.asarray(columns @ np.linalg.lstsq(rows, (weight * errors).ravel(), rcond=None)[0])
+
+
 def is_reference_wide(data: ScanData) -> bool:
-    """Return whether the typical pose error exceeds the noise of a reading, or the spacing of the rays.
+    """Return whether the pose error that robot.yaml states exceeds the noise of a reading, or the spacing of the rays.
 
     In this case other rays meet the outlines than at the reference poses.
     """
-    t, far = data.tolerances, data.ranges[data.returned]
+    return _is_wide(data, data.tolerances.pose_xy, data.tolerances.pose_yaw)
+
+
+def _is_wide(data: ScanData, xy: float, yaw: float) -> bool:
+    far = data.ranges[data.returned]
     if not len(far):
         return False
     usual, (right, left) = float(np.median(far)), neighbouring_rays(data.sensor)
     apart = wrap(data.sensor.bearings[left] - data.sensor.bearings[right])
     to_the_next = usual * float(np.median(apart)) if len(apart) else np.inf
-    return bool(np.hypot(t.pose_xy, t.pose_yaw * usual) > min(data.sensor.sigma, to_the_next))
+    return bool(np.hypot(xy, yaw * usual) > min(data.sensor.sigma, to_the_next))
 
 
 def fitted_and_held_out(data: ScanData, held: Bools, noise_bounds: NoiseBounds) -> tuple[ScanData, ScanData]:
-    """Split scans into those for fits and the held-out ones (n_scans,), each at its most likely poses."""
-    return (
-        at_likely_poses(data.subset(~held), noise_bounds),
-        at_likely_poses(data.subset(held), noise_bounds, even_rays=True),
-    )
+    """Split scans into those for fits and the held-out ones (n_scans,), both at their most likely poses or both not."""
+    train, unseen = data.subset(~held), data.subset(held)
+    if not _proves_wide(train, noise_bounds):
+        return train, unseen
+    return _cast_there(train, noise_bounds, False), _cast_there(unseen, noise_bounds, True)
 
 
 def freed_of_scans(data: ScanData, noise_bounds: NoiseBounds) -> ScanData:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import select
-from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, fit, start_state, thin, thin_state
+from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, bare_fit, fit, thin, thin_state
 from sensorgraph.diagnosis.scan.nuisance import State
 from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import ScanData
@@ -84,7 +84,7 @@ class EffectSearch:
         self.data, self.noise_bounds, self.progress = data, noise_bounds, progress
         self.threshold = SCAN.selection.threshold
         with progress("fitting the simulator", ""):
-            self.null = self._fit((), start_state(data, noise_bounds))
+            self.null = bare_fit(data, noise_bounds)
         self.current = self.null
         self.steps: list[Step] = []
         self.rivals: dict[str, tuple[Amendment, float]] = {}
