@@ -101,7 +101,8 @@ def _accepted(
     """
     rest_terms = [other for other in terms if other != term]
     rest = model.fit(rest_terms, fit)
-    evidence = fit.log_posterior - rest.log_posterior - model.rows.price(term.n_parameters)
+    price = model.rows.price(term.n_parameters)
+    evidence = fit.log_posterior - rest.log_posterior - price
     alternatives = {
         other.effect: model.fit([*rest_terms, other], fit).log_posterior
         - rest.log_posterior
@@ -116,9 +117,7 @@ def _accepted(
     missing = fit.simulated - rest.simulated + fit.explained([term.column])
     return AcceptedEffect(
         amendment=a,
-        entry=_judged_entry(
-            a, model.rows.price(term.n_parameters), model.error_without(fit, missing), loop(a), error
-        ),
+        entry=_judged_entry(a, price, model.error_without(fit, missing), loop(a), error),
         rival=_rival(a, alternatives) or usual_rival(a),
         is_absorbed=a.location is None and _takes(model, fit, missing),
     )
@@ -302,10 +301,8 @@ def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[TestedFa
     for some in [freed] if freed else tried:
         with_it = fit if freed else model.fit([*rest_terms, *some], fit)
         rest = model.fit(rest_terms, fit) if freed else fit
-        columns, price = (
-            [term.column for term in some],
-            model.rows.price(sum(term.n_parameters for term in some)),
-        )
+        columns = [term.column for term in some]
+        price = model.rows.price(sum(term.n_parameters for term in some))
         family = StructureFamily(
             kind=some[0].family,
             columns=with_it.columns[:, columns],

@@ -60,13 +60,14 @@ def effect_entries(
             entry, alone=_alone(explained.steps, a), remark=why.words if why is not None and is_size else ""
         )
         out.append(_with_size(entry, whole, cast(few, without(model, index))))
-    names = {a.name for a in model}
+    accepted = frozenset(a.name for a in model)
+    names = set(accepted)
     for name, (a, gain, round_) in _best_fits(explained.steps).items():
         if name in names:
             continue
         facts = Facts(has_name=True, evidence=gain, threshold=SCAN.selection.threshold)
         entry = replace(effect_entry(a, facts, price=price(a, data)), alone=_alone(explained.steps, a))
-        entry = _with_winner(entry, a, explained.steps[round_:], {b.name for b in model})
+        entry = _with_winner(entry, a, explained.steps[round_:], accepted)
         out.append(_with_size(entry, cast(few, (*model, a)), whole))
         names.add(name)
     for name, candidate in explained.expected.items():
