@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from scan_samples import data_of, drive
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.scan.consequence import ScanError
+from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.materiality import is_map_error, material_chance
 from sensorgraph.diagnosis.scan.naming import why_immaterial
@@ -89,3 +91,22 @@ def test_a_disc_that_may_be_as_large_as_discs_are_is_something_flat(
 @pytest.mark.parametrize(("offset", "words"), [(0.0123, "1.2 cm"), (1.0, "1 m"), (12.3, "12 m")])
 def test_what_it_costs_is_told_in_plain_lengths(offset: float, words: str) -> None:
     assert f"off by {words} in 3.4 %" in ScanError(offset=offset, affected=0.034).sentence()
+
+
+def test_rays_at_edges_do_not_state_the_consequence_of_all() -> None:
+    expected = {
+        name: np.full(1000, value)
+        for name, value in {"reading": 3.0, "sigma": 0.01, "lattice": 0.0, "p_return": 1.0}.items()
+    }
+    without = SimpleNamespace(stray=0.0, short=0.0, **expected)
+    edge = np.arange(1000) < 20
+    with_it = SimpleNamespace(
+        stray=0.0, short=0.0, lattice=expected["lattice"], p_return=expected["p_return"],
+        reading=np.where(edge, 5.0, 3.02), sigma=np.where(edge, 1.0, np.hypot(0.01, 0.004)),
+    )  # fmt: skip
+    change = scan_change(
+        cast(Any, SimpleNamespace(expected=with_it)), cast(Any, SimpleNamespace(expected=without))
+    )
+    assert change.offset == pytest.approx(0.02)
+    assert change.noise == pytest.approx(0.004)
+    assert change.affected == 1.0

@@ -10,7 +10,6 @@ import numpy as np
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.fit import Cast
 from sensorgraph.diagnosis.scan.settings import SCAN, GoodnessOfFitSettings
-from sensorgraph.robust import rms
 
 CAUSES: dict[str, dict[str, str]] = {
     "bearing": {
@@ -91,7 +90,7 @@ class ScanError:
     offset: float = 0.0
     """[m] typical mean error of the affected readings: root mean square or, of an effect, median."""
     noise: float = 0.0
-    """[m] error of the standard deviation of the affected readings."""
+    """[m] error of the standard deviation of the affected readings, as `offset`."""
     affected: float = 0.0
     """Share of all readings with these errors."""
     wrong: float = 0.0
@@ -184,7 +183,7 @@ def likely_causes(deviations: Sequence[Deviation]) -> tuple[str, ...]:
 def scan_change(one: Cast, other: Cast) -> ScanError:
     """Return the difference between two simulations of the same scans.
 
-    Its offset is a median, because some rays pass an edge in one of them, and differ by metres.
+    Offset and noise are medians, because some rays pass an edge in one of them, and differ by metres.
     """
     a, b = one.expected, other.expected
     with np.errstate(invalid="ignore"):
@@ -197,7 +196,7 @@ def scan_change(one: Cast, other: Cast) -> ScanError:
     wrong = float(lost.mean()) + abs(a.stray - b.stray) + abs(a.short - b.short)
     return ScanError(
         offset=float(np.median(off[moved])) if moved.any() else 0.0,
-        noise=rms(noise[noisy]),
+        noise=float(np.median(noise[noisy])) if noisy.any() else 0.0,
         affected=float((moved | noisy).mean()),
         wrong=min(wrong, 1.0) if wrong > LEAST_CHANGE else 0.0,
     )
