@@ -10,11 +10,13 @@ import pytest
 from conftest import further
 from localization_samples import loop_poses, room_run, seen
 
-from logs.run import Run
+from logs.motion import Motion
+from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
+from sensorgraph.localization import ray_times
 from sensorgraph.localization.bearing_scale import estimated_scale
 from sensorgraph.localization.locate import locate, located_run
-from sensorgraph.localization.turning_pieces import TimeEstimate
+from sensorgraph.localization.turning_pieces import TimeEstimate, TurningPieces, sweep_basis
 from sensorgraph.types import Floats
 
 TRUTH = loop_poses(200)
@@ -122,3 +124,22 @@ def test_a_robot_that_only_spins_leaves_the_bearings() -> None:
     run = room_run(np.column_stack([np.full(60, 2.0), np.full(60, 1.5), turn]))
     alone = replace(run, odom_stamps=np.zeros(0), odometry=np.zeros((0, 3)), odom_twists=np.zeros((0, 2)))
     assert not any("step of the bearings" in note for note in locate(alone).notes)
+
+
+def test_noise_of_the_ranges_neither_stretches_nor_delays_the_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error of a range is in its residual and in the derivatives at the measured point: their product has a mean."""
+    found: list[TimeEstimate] = []
+
+    def estimated(sensor: RangeSensor, pieces: TurningPieces, motion: Motion, _: float | None) -> Any:
+        bearings = (sensor.bearings - sensor.bearings.mean())[:, None]
+        start = pieces.linearised(sensor.ray_delays, motion)
+        found.append(start.estimate(sweep_basis(sensor.n_rays), bearings))
+        return sensor, ()
+
+    monkeypatch.setattr(ray_times, "_corrected", estimated)
+    run = room_run(loop_poses(120), n_rays=360, sigma=0.03, seed=1)
+    ahead = np.abs(run.sensor.bearings) <= np.pi / 2
+    sensor = replace(run.sensor, bearings=run.sensor.bearings[ahead])
+    ray_times.track_run(replace(run, sensor=sensor, ranges=np.ascontiguousarray(run.ranges[:, ahead])))
+    errors = found[0].change / np.sqrt(np.diag(found[0].covariance))
+    assert np.abs(errors[[0, -1]]).max() < 3  # sweep, and step of the bearings

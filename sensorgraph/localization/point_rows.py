@@ -2,6 +2,11 @@
 
 With patch p of point k, the residual is r_k = n_p · (T(pose) point_k - centre_p). `by_pose` and `by_line`
 hold its derivatives. A cluster holds the residuals of the points of one key frame on one patch.
+
+A range has an error e along its ray u, so that r_k = e n_p · u. A derivative at the measured point contains e, too: by the turn of
+the robot, n_p x (point_k - position) has e n_p x u. The product of both has the mean var(e) (n_p · u) (n_p x u), however many
+points there are (errors in variables; Fuller 1987, Measurement Error Models). So derivatives are taken where the ray meets the
+line, at the distance r_k / (n_p · u) before the point.
 """
 
 from __future__ import annotations
@@ -23,6 +28,8 @@ ROUNDNESS = 0.25
 """Ratio of the variances across and along above which points form no patch."""
 MIN_POINTS = 4.0
 """Minimum number of points of a patch."""
+LEAST_FACING = 0.1
+"""Cosine of the largest angle of incidence, 84°, at which all of a residual is an error of the range."""
 NEAR = 16
 """Number of key frames before and after whose patches determine the direction of a corridor."""
 
@@ -37,6 +44,8 @@ class FramePoints:
     """(n, 2) [m] in base_link."""
     normals: Floats
     """(n, 2) Normals in base_link."""
+    rays: Floats
+    """(n, 2) Unit vectors along the rays, in base_link."""
     projections: Floats | None = None
     """(n_frames, 3, 3) Projection of a motion ahead, left and turn onto the directions that the scan determines;
     None: all."""
@@ -47,21 +56,24 @@ class FramePoints:
         slices = [scans.of(int(k)) for k in key_frames]
         index = np.concatenate([np.arange(s.start, s.stop) for s in slices] or [np.zeros(0, np.intp)])
         counts = [s.stop - s.start for s in slices]
+        rays = scans.points[index] - scans.starts[index]
         return FramePoints(
             frame=np.repeat(np.arange(len(key_frames)), counts),
             points=scans.points[index],
             normals=scans.normals[index],
+            rays=rays / np.maximum(np.hypot(*rays.T), 1e-9)[:, None],
             projections=None if projections is None or determines_all(projections).all() else projections,
         )
 
-    def placed(self, poses: Floats) -> tuple[Floats, Floats]:
-        """Return points and normals (n, 2) in map."""
+    def placed(self, poses: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return points, normals and rays (n, 2) in map."""
         pose = poses[self.frame]
         cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        x, y = self.points.T
-        nx, ny = self.normals.T
-        points = np.column_stack([cos * x - sin * y + pose[:, 0], sin * x + cos * y + pose[:, 1]])
-        return points, np.column_stack([cos * nx - sin * ny, sin * nx + cos * ny])
+        points, normals, rays = (
+            np.column_stack([cos * x - sin * y, sin * x + cos * y])
+            for x, y in (self.points.T, self.normals.T, self.rays.T)
+        )
+        return points + pose[:, :2], normals, rays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +108,7 @@ class PointRows:
 
 def point_rows(frames: FramePoints, poses: Floats, side: float, gate: float, sigma: float) -> PointRows:
     """Cut the surfaces into patches, and linearise the residuals of the points at the poses (n_frames, 3)."""
-    points, normals = frames.placed(poses)
+    points, normals, rays = frames.placed(poses)
     surface = points.copy()
     patch_map = cut_patches(points, normals, side, ROUNDNESS)
     patch = assign(points, normals, patch_map, gate)
@@ -107,7 +119,9 @@ def point_rows(frames: FramePoints, poses: Floats, side: float, gate: float, sig
     surface[used[kept]] -= residual[kept, None] * normal[kept]
     patch, frame, points = patch[kept], frame[kept], points[kept]
     weight, residual, along, normal = weight[kept], residual[kept], along[kept], normal[kept]
-    lever = points - poses[frame, :2]
+    error = _range_errors(residual, normal, rays[used[kept]])
+    along = _centred(along + error[:, 0] * normal[:, 1] - error[:, 1] * normal[:, 0], patch, weight)
+    lever = points - error - poses[frame, :2]
     turn = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
     by_pose = np.column_stack([normal, turn])
     projections = None
@@ -129,6 +143,19 @@ def point_rows(frames: FramePoints, poses: Floats, side: float, gate: float, sig
         surface=surface,
         projections=projections,
     )
+
+
+def _range_errors(residual: Floats, normal: Floats, ray: Floats) -> Floats:
+    """Return the vectors (n, 2) [m] from the line of a patch to its points, along their rays (n, 2)."""
+    facing = (normal * ray).sum(axis=1)
+    facing = np.copysign(np.maximum(np.abs(facing), LEAST_FACING), facing)
+    return (residual / facing)[:, None] * ray
+
+
+def _centred(values: Floats, patch: Ints, weight: Floats) -> Floats:
+    """Return values (n,) without the weighted mean of their patch: offset and direction of a line become independent."""
+    total = np.bincount(patch, weight)
+    return values - (np.bincount(patch, weight * values) / np.where(total > 0, total, 1.0))[patch]
 
 
 def _projections(
@@ -221,10 +248,7 @@ def _fit_patches(
     pairs = np.unique(frame * m + patch)
     n_frames = np.bincount(pairs % m, minlength=m)
     good = (n_frames > 1) & (across < ROUNDNESS * length) & (count >= MIN_POINTS)
-    # centred with the last weights: offset and direction of a line become independent
-    total = np.bincount(patch, soft, m) + 1e-12
-    along = along - (np.bincount(patch, soft * along, m) / total)[patch]
-    residual = residual - (np.bincount(patch, soft * residual, m) / total)[patch]
+    residual = _centred(residual, patch, soft)  # with the last weights
     weight = np.where(good[patch], soft / np.maximum(scale, MIN_NOISE**2)[patch], 0.0)
     return weight, residual, along, normal
 
