@@ -58,6 +58,7 @@ def drive(
     delay: float = 0.0,
     mount: Floats | None = None,
     every: int = 30,
+    slip: float = 0.02,
 ) -> LaserMotion:
     """Drive a differential robot with wheels that slip a little; the odometry says less than it does.
 
@@ -70,15 +71,16 @@ def drive(
     delay : [s] by which the odometry is ahead of the scans
     mount : (3,) as stated; None: in the middle of the axle, straight ahead
     every : scans after which the speed changes
+    slip : standard deviation of the share of a step that slips
     """
     rng = np.random.default_rng(seed)
     dt = 0.1
     slow = np.repeat(rng.uniform([0.1, -1.0], [0.5, 1.0], (n // every + 1, 2)), every, axis=0)[:n]
     kernel = np.ones(10) / 10  # the robot does not jump to a speed
     said = np.column_stack([np.convolve(column, kernel, "same") for column in slow.T])
-    slip = 1 + 0.02 * rng.standard_normal((n, 2))
+    slipping = 1 + slip * rng.standard_normal((n, 2))
     factor = turns * np.where(np.arange(n) < n // 2, 1.0, later_turns)
-    true = np.column_stack([radius * said[:, 0], factor * said[:, 1] + bias * said[:, 0]]) * slip
+    true = np.column_stack([radius * said[:, 0], factor * said[:, 1] + bias * said[:, 0]]) * slipping
     odometry, body = track_of(said, dt), track_of(true, dt)
     stamps = dt * np.arange(n + 1)
     seen = np.column_stack([np.interp(stamps + delay, stamps, column) for column in body.T])
@@ -181,6 +183,12 @@ def test_a_part_of_a_run_is_as_good_as_the_run() -> None:
 def test_other_stated_mounts_do_not_move_the_found_one() -> None:
     other = calibrate(replace(drive(), mount=np.array([0.2, 0.1, 0.0])))
     assert other.values[3:6] == pytest.approx(calibrated().values[3:6], abs=1e-4)
+
+
+def test_a_robot_that_is_as_specified_is_known_as_well_as_another() -> None:
+    """Its values hardly change from step to step, but the noise does, from its prior on."""
+    as_specified, other = (calibrate(drive(slip=0.001, mount=mount)) for mount in (MOUNT, np.zeros(3)))
+    np.testing.assert_allclose(as_specified.stderr, other.stderr, rtol=0.1)
 
 
 def finding_of(**found: DrivingCalibration) -> DrivingFinding:

@@ -52,7 +52,7 @@ TAIL = 4.0
 MAX_ROUNDS = 30
 """Maximum number of steps of expectation maximisation; outliers lose their weight slowly."""
 SETTLED = 0.02
-"""Change of every parameter, in standard errors, below which these steps end."""
+"""Change of every parameter, in standard errors, and relative change of the noise factors, below which these steps end."""
 NOISE_FREEDOM = 1.0
 """Degrees of freedom of the prior of a noise factor: the noise may be several times larger or smaller than usual."""
 USUAL_SLIP = 0.3
@@ -219,13 +219,14 @@ def whitened_rows(motion: LaserMotion, window: int) -> WindowRows:
         A = np.einsum("cmn,nca->mca", whitening, _derivatives(motion, theta, window))
         squares = y**2 + np.einsum("nca,ab,ncb->nc", A, covariance, A)  # with what theta leaves uncertain
         weights = (TAIL + 1) / (TAIL + squares / factors)
-        factors = (NOISE_FREEDOM + (weights * squares).sum(axis=0)) / (NOISE_FREEDOM + n)
+        last, factors = factors, (NOISE_FREEDOM + (weights * squares).sum(axis=0)) / (NOISE_FREEDOM + n)
         root = np.sqrt(weights / factors)
         here = replace(prior, mean=before - theta)
         rows = replace(rows, A=root[:, :, None] * A, y=root * y, at=theta, prior=here)
         fit = rows.regression().solve(here)
         theta, covariance = theta + fit.theta, fit.covariance
-        if (np.abs(fit.theta) < SETTLED * np.sqrt(np.diag(covariance))).all():
+        is_still = (np.abs(fit.theta) < SETTLED * np.sqrt(np.diag(covariance))).all()
+        if is_still and (np.abs(factors - last) < SETTLED * last).all():
             break
     return rows
 
