@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import further
+from localization_samples import ROOM, looking_about, room_run
 
 import logs
 import sensorgraph as sg
@@ -391,3 +392,16 @@ def test_the_local_cluster_listens_only_on_this_machine() -> None:
     with cluster(None, 1):
         opened = listening() - before
     assert opened and {address for address, _ in opened} <= {"127.0.0.1", "::1"}
+
+
+def test_a_thing_that_was_taken_away_is_gone_and_the_edges_of_others_are_not() -> None:
+    """With poses that are 1 cm off, rays pass the edges of a box that the map predicts."""
+    poses = looking_about(np.arange(0.0, 40.0, 0.2))
+    run = room_run(poses, n_rays=180)
+    off = 0.01 * np.random.default_rng(0).standard_normal(poses.shape)
+    run = replace(run, pose_stamps=run.stamps, poses=poses + off)
+    room = np.array(ROOM).reshape(-1, 2, 2)
+    assert len(changed_places(run, room).gone) == 0
+    box = np.array([(6.0, 1.0, 6.5, 1.0), (6.5, 1.0, 6.5, 1.5), (6.5, 1.5, 6.0, 1.5), (6.0, 1.5, 6.0, 1.0)])
+    gone = changed_places(run, np.concatenate([room, box.reshape(-1, 2, 2)])).gone
+    assert len(gone) and np.abs(gone - [6.25, 1.25]).max() < 0.5

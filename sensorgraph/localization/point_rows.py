@@ -149,7 +149,7 @@ def _range_errors(residual: Floats, normal: Floats, ray: Floats) -> Floats:
     """Return the vectors (n, 2) [m] from the line of a patch to its points, along their rays (n, 2)."""
     facing = (normal * ray).sum(axis=1)
     facing = np.copysign(np.maximum(np.abs(facing), LEAST_FACING), facing)
-    return (residual / facing)[:, None] * ray
+    return np.asarray((residual / facing)[:, None] * ray)
 
 
 def _centred(values: Floats, patch: Ints, weight: Floats) -> Floats:

@@ -12,7 +12,7 @@ from logs.run import Run, pair
 from sensorgraph.localization.global_search import evenly
 from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.surveying.range_offset import range_offset
-from sensorgraph.types import Floats
+from sensorgraph.types import Bools, Floats
 from sensorgraph.world.raycast import cast_laser, laser_poses
 
 CELL = 0.25
@@ -72,28 +72,36 @@ def changed_places(run: Run, walls: Floats) -> ChangedPlaces:
     at_wall = lasers[:, None, :2] + np.where(np.isfinite(expected), expected, 0.0)[..., None] * ways
     usable = hit & np.isfinite(expected)
     off = np.where(usable, ranges - np.where(usable, expected, 0.0), 0.0)
-    offset = range_offset(off, expected, angle, walls, wall, usable & (np.abs(off) < CLEAR))
+    is_there = usable & (np.abs(off) < CLEAR)
+    offset = range_offset(off, expected, angle, walls, wall, is_there)
     stamps = run.stamps[index]
     return ChangedPlaces(
         new=_lasting_cells(ends, is_new, stamps),
-        gone=_lasting_cells(at_wall, is_gone, stamps),
+        gone=_lasting_cells(at_wall, is_gone, stamps, is_there),
         share=float((is_new | is_gone).sum() / max(hit.sum(), 1)),
         offset=offset,
     )
 
 
-def _lasting_cells(points: Floats, chosen: np.ndarray, stamps: Floats) -> Floats:
-    """Return the centres (n, 2) of cells that several scans over some seconds show."""
-    scan, ray = np.nonzero(chosen)
-    cells = np.floor(points[scan, ray] / CELL).astype(np.int64)
-    if len(cells) == 0:
-        return np.zeros((0, 2))
-    keys, inverse = np.unique(cells, axis=0, return_inverse=True)
-    inverse = inverse.reshape(-1)
-    pairs = np.unique(np.column_stack([inverse, scan]), axis=0)
-    n_scans = np.bincount(pairs[:, 0], minlength=len(keys))
+def _lasting_cells(points: Floats, chosen: Bools, stamps: Floats, contrary: Bools | None = None) -> Floats:
+    """Return the centres (n, 2) of cells that several scans over some seconds show, and more than show the contrary.
+
+    Rays along a wall, or past an edge, are beyond it in some scans, and end at it in more.
+
+    Parameters
+    ----------
+    points : (n_scans, n_rays, 2) [m, map]
+    chosen, contrary : (n_scans, n_rays) rays that show the change at their point, and those that show none.
+    """
+    of_ray = np.zeros(chosen.shape, dtype=np.bool_) if contrary is None else contrary
+    scan, ray = np.nonzero(chosen | of_ray)
+    keys, cell = np.unique(np.floor(points[scan, ray] / CELL).astype(np.int64), axis=0, return_inverse=True)
+    pairs = np.unique(np.column_stack([cell.reshape(-1), scan, of_ray[scan, ray]]), axis=0)
+    against = np.bincount(pairs[pairs[:, 2] == 1, 0], minlength=len(keys))
+    of_cell, of_scan = pairs[pairs[:, 2] == 0, :2].T
+    shown = np.bincount(of_cell, minlength=len(keys))
     first, last = np.full(len(keys), np.inf), np.full(len(keys), -np.inf)
-    np.minimum.at(first, pairs[:, 0], stamps[pairs[:, 1]])
-    np.maximum.at(last, pairs[:, 0], stamps[pairs[:, 1]])
-    lasting = (n_scans >= MIN_SCANS) & (last - first >= MIN_SECONDS)
-    return np.asarray((keys[lasting] + 0.5) * CELL)
+    np.minimum.at(first, of_cell, stamps[of_scan])
+    np.maximum.at(last, of_cell, stamps[of_scan])
+    lasting = (shown >= MIN_SCANS) & (last - first >= MIN_SECONDS) & (shown > against)
+    return np.asarray((keys[lasting] + 0.5) * CELL).reshape(-1, 2)
