@@ -18,7 +18,7 @@ MAX_TRENDS = 60
 """Maximum number of trends without a change that are drawn."""
 MAX_LINES = 12
 """Maximum number of changes above the table."""
-WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(25rem,100%),1fr));gap:1.4rem} .trends figure{margin:0} .trends figcaption{margin:0 0 .3rem;color:var(--ink)} table{font-size:.84rem} td.n{white-space:nowrap} .scroll{overflow-x:auto} svg{max-width:100%;height:auto}</style>"
+WIDE = "<style>main{max-width:84rem} .trends{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(25rem,100%),1fr));gap:1.4rem} .trends figure{margin:0} .trends figcaption{margin:0 0 .3rem;color:var(--ink)} table{font-size:.84rem} td.n,td.day{white-space:nowrap} .scroll{overflow-x:auto} svg{max-width:100%;height:auto}</style>"
 
 
 def fleet_page(fleet: Fleet) -> str:
@@ -168,13 +168,10 @@ def _table(fleet: Fleet) -> str:
     head = "".join(f"<th class='n'>{LABELS[name].title}</th>" for name in names)
     rows = []
     for row in fleet.rows:
-        cells = "".join(
-            f'<td class="n">{LABELS[name].shown(*row["quantities"][name]) if name in row["quantities"] else ""}</td>'
-            for name in names
-        )
+        cells = "".join(f'<td class="n">{_two_lines(row["quantities"], name)}</td>' for name in names)
         changed = row.get("changes") or {}
         rows.append(
-            f"<tr><td>{escape(str(row['robot']))}</td><td>{escape(str(row['day']))}</td>"
+            f"<tr><td>{escape(str(row['robot']))}</td><td class='day'>{escape(str(row['day']))}</td>"
             f'<td><a href="logs/{row["key"]}.html">{escape(Path(str(row["log"])).name)}</a></td>'
             f'<td class="n">{_length(float(row["length_s"]))}</td><td>{escape(str(row["place"] or "own map"))}</td>'
             f'<td class="n">{_percent(float(row["ok_share"]))}</td>{cells}'
@@ -184,6 +181,11 @@ def _table(fleet: Fleet) -> str:
         f"<h2>Logs</h2><div class='scroll'><table><tr><th>robot</th><th>day</th><th>log</th><th class='n'>length</th>"
         f"<th>place</th><th class='n'>located</th>{head}<th class='n'>new / gone</th></tr>{''.join(rows)}</table></div>"
     )
+
+
+def _two_lines(quantities: Mapping[str, Sequence[float]], name: str) -> str:
+    """Return a value and, below it, its standard error; the table has many columns."""
+    return LABELS[name].shown(*quantities[name]).replace(" ± ", "<br>± ") if name in quantities else ""
 
 
 def log_page(row: Mapping[str, Any]) -> str:
