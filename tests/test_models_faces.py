@@ -8,6 +8,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from conftest import further
 
 from logs.run import RangeSensor
 from planners.arena import Arena
@@ -56,12 +57,12 @@ def somewhere(arena: Arena, n: int, rng: np.random.Generator, clear: float = 0.1
     return np.column_stack([points, rng.uniform(-np.pi, np.pi, len(points))])
 
 
-def scans_of(arena: Arena, poses: Floats, rng: np.random.Generator) -> TrainingScans:
+def scans_of(arena: Arena, poses: Floats, rng: np.random.Generator, sigma: float = SIGMA) -> TrainingScans:
     ranges = cast(arena, poses, SENSOR).ranges
     return TrainingScans(
         sensor=SENSOR,
         poses=poses,
-        ranges=ranges + SIGMA * rng.normal(size=ranges.shape),
+        ranges=ranges + sigma * rng.normal(size=ranges.shape),
         run=np.zeros(len(poses), dtype=np.intp),
     )
 
@@ -91,6 +92,20 @@ def test_rays_beside_an_obstacle_end_where_its_corners_say(boxed: tuple[Arena, F
     assert wrong.mean() < 1.5e-3
     assert wrong[said.answered].mean() < 1e-3
     assert said.answered.mean() > 0.98
+
+
+@pytest.mark.parametrize("sigma", [0.03, *further(0.015, 0.02, 0.05)])
+def test_a_noisy_laser_sees_the_same_faces(sigma: float) -> None:
+    """Lasers of 3 cm were given several faces for each wall, and a quarter of the rays answered."""
+    arena, rng = room(BOX), np.random.default_rng(4)
+    model = Faces.fit(scans_of(arena, somewhere(arena, 400, rng), rng, sigma), calibrate=False)
+    assert 8 <= model.faces.n_faces <= 12
+    assert model.noise.sigma == pytest.approx(sigma, rel=0.05)
+    fresh = somewhere(arena, 300, rng)
+    said = model.predict(fresh, np.arange(SENSOR.n_rays), "mode")
+    off = said.mode - cast(arena, fresh, SENSOR).ranges
+    assert np.median(np.abs(off)) < 0.1 * sigma
+    assert said.answered.mean() > 0.97
 
 
 def test_corners_of_an_obstacle_are_found(boxed: tuple[Arena, Faces]) -> None:

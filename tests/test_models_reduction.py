@@ -196,3 +196,27 @@ def test_space_behind_dark_things_is_looked_at_and_not_known_to_be_free(scans: T
     assert known.free.sum() == (plain.counts > 0).sum() < 0.01 * (known.counts > 0).sum()
     near = reduce(scans, 100).observed.with_missing(np.array([1.0, 2.0]), 8.0)
     np.testing.assert_array_equal(near.free, near.counts > 0)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_hits_of_a_smaller_place_are_those_of_points_that_are_closer(n: int) -> None:
+    rng = np.random.default_rng(6)
+    points, directions = rng.normal(0.0, 1.0, (500, 2)), rng.normal(0.0, 1.0, (500, 2))
+    smaller = HitMoments.of(points / n, directions)
+    found = HitMoments.of(points, directions).scaled_down(n)
+    np.testing.assert_array_equal(found.cells, smaller.cells)
+    np.testing.assert_allclose(found.moments, smaller.moments, atol=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.03])
+@pytest.mark.parametrize("every", [1, 3])
+def test_the_noise_of_neighbouring_rays_is_that_of_the_laser(
+    scans: TrainingScans, sigma: float, every: int
+) -> None:
+    """Rays that are 9° apart, too, though their ranges differ by more than the noise."""
+    own = 0.01
+    noise = np.sqrt(sigma**2 - own**2) * np.random.default_rng(0).normal(size=scans.ranges.shape)
+    sensor = replace(scans.sensor, bearings=scans.sensor.bearings[::every])
+    some = replace(scans, sensor=sensor, ranges=(scans.ranges + noise)[:, ::every])
+    found = reduce(some, 7).sample.noise(sensor.bearings)
+    assert found == pytest.approx(sigma, rel=0.4)  # edges are in it, too

@@ -47,9 +47,11 @@ from sensorgraph.models.calibration.pose_refinement import (
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces, moved_faces
+from sensorgraph.models.faces.forward_selection import coarseness
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
+from sensorgraph.models.faces.settings import FACES
 from sensorgraph.models.faces.visibility import Rays, ReturnNoise
 from sensorgraph.types import Floats, Progress, ProgressBars, no_progress
 from sensorgraph.work_counter import WorkCounter
@@ -130,7 +132,7 @@ def calibrate_faces(
     """
     readings, poses = readings_of(sample, sensor)
     work = _JointCalibration(readings, poses, mount, can_mount=can_mount)
-    work.weights = sample.weights
+    work.weights, work.coarse = sample.weights, coarseness(sample.noise(sensor.bearings))
     work.set_faces(fitted)
     with progress("testing the laser", "%") as tick:
         should_calibrate = calibrate is not False and work.should_calibrate(
@@ -167,6 +169,7 @@ class _JointCalibration:
         self._lasers = LaserPoses(poses, readings.pose, readings.scan)
         self.terms, self.mean_bias = RayTerms.none(len(readings.bearings)), 0.0
         self.weights: Floats | None = None  # (n,) number of rays that each reading represents; None: 1
+        self.coarse = 1  # `coarseness` of the laser
         self.laser_differs = self.has_mount = False
         self.has_own = np.zeros((2, len(readings.bearings)), dtype=np.bool_)
         self.offset_se = np.full(3, np.nan)
@@ -261,15 +264,14 @@ class _JointCalibration:
             self.shifts = np.zeros_like(self.shifts)  # they compensated errors of the laser
             self.pose_noise = self.pose_errors = (0.0, 0.0)
         for i, sigma in enumerate(sigmas):
-            self.set_faces(draft_faces(self.corrected(), sigma=sigma), least=sigma)
+            rays = self.corrected()
+            self.set_faces(draft_faces(rays, sigma=sigma, coarse=self.coarse), least=sigma)
             self.adjust(incidence=i > 0)
             self.adjust(incidence=i > 0)
             work.add(1)
         for reach in reaches:
             rays = self.corrected()
-            self.set_faces(
-                fit_faces(rays, sigma=FINE_SIGMA, pose_errors=self.pose_errors, progress=work.part(1))
-            )
+            self.set_faces(self._fitted(rays, FINE_SIGMA, work.part(1)))
             work.add(1)
             self.adjust(incidence=True)
             self.refine_poses()
@@ -279,8 +281,13 @@ class _JointCalibration:
             work.add(1)
         self.refine_in_turn()
         rays = self.corrected()
-        fitted = fit_faces(rays, pose_errors=self.pose_errors, progress=work.part(1))
+        fitted = self._fitted(rays, FACES.first_sigma, work.part(1))
         return CalibratedFaces(fitted=fitted, calibration=self.calibration(), rays=rays, mount=self.mount)
+
+    def _fitted(self, rays: Rays, sigma: float, progress: Progress) -> FittedFaces:
+        return fit_faces(
+            rays, sigma=sigma, coarse=self.coarse, pose_errors=self.pose_errors, progress=progress
+        )
 
     def corrected(self) -> Rays:
         """Return the rays, corrected by the current estimates."""

@@ -57,6 +57,7 @@ def fit_faces(
     *,
     hit_moments: HitMoments | None = None,
     sigma: float = FACES.first_sigma,
+    coarse: int = 1,
     pose_errors: tuple[float, float] = (0.0, 0.0),
     progress: Progress | None = None,
 ) -> FittedFaces:
@@ -66,7 +67,8 @@ def fit_faces(
     ----------
     rays : Rays whose weights count in the statistics; in the fit all rays count equally.
     hit_moments : Pooled hits of all rays, of which `rays` are a sample. None: those of `rays`.
-    sigma : [m] Initial range noise; the noise of ranges and poses is estimated.
+    sigma : [m] Initial spread of hits across a face; the noise of ranges and poses is estimated.
+    coarse : `coarseness` of the laser, by which cells and gaps of the selection grow.
     pose_errors : [m, rad] Errors of poses that were refined with these rays; the estimated noise does not include them.
     """
     work = WorkCounter(progress, ROUNDS + 3)  # stages of similar duration
@@ -74,10 +76,10 @@ def fit_faces(
         hit_moments = HitMoments.of(rays.hits, rays.directions)
     final = replace(rays, weights=None)
     draft = _thinned(final, DRAFT_RAYS)
-    faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma)
+    faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma, coarse)
     work.add(1)
     for _ in range(ROUNDS):
-        more = _select_unexplained(draft, expectation, noise)
+        more = _select_unexplained(draft, expectation, noise, coarse)
         faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))
         faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
         faces, noise, expectation = _em(draft, faces, noise, passes=ROUND_PASSES)
@@ -103,13 +105,14 @@ def fit_faces(
     )
 
 
-def draft_faces(rays: Rays, *, sigma: float) -> FittedFaces:
+def draft_faces(rays: Rays, *, sigma: float, coarse: int) -> FittedFaces:
     """Fit straight faces to a subset of the rays, whose returns have the standard deviation `sigma` [m].
 
     Bent faces are not split, since the sensor may cause the bend.
     """
     draft = _thinned(replace(rays, weights=None), DRAFT_RAYS)
-    faces, noise, expectation = _select_and_fit(draft, HitMoments.of(rays.hits, rays.directions), sigma)
+    hit_moments = HitMoments.of(rays.hits, rays.directions)
+    faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma, coarse)
     return FittedFaces(faces=faces, noise=noise, expectation=expectation, n_rays=len(draft))
 
 
@@ -120,11 +123,12 @@ def moved_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> tuple[FaceSet
 
 
 def _select_and_fit(
-    rays: Rays, hit_moments: HitMoments, sigma: float
+    rays: Rays, hit_moments: HitMoments, sigma: float, coarse: int
 ) -> tuple[FaceSet, ReturnNoise, Expectation]:
     """Select faces; repeat with a wider band if the hits spread more than assumed, due to noise of the poses."""
+    sigma = max(sigma, coarse * FACES.first_sigma)
     for _ in range(ROUNDS):
-        lines = select_lines(hit_moments, sigma=sigma)
+        lines = select_lines(hit_moments, sigma=sigma, coarse=coarse)
         faces, noise, expectation = _em(
             rays, binned_faces(lines), ReturnNoise(sigma=2 * sigma), passes=PASSES
         )
@@ -155,11 +159,11 @@ def _em(
     return faces, noise, expectation
 
 
-def _select_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise) -> Lines:
+def _select_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise, coarse: int) -> Lines:
     """Select lines among the returns that no face explains."""
     left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
     hit_moments = HitMoments.of(rays.hits[left], rays.directions[left])
-    return select_lines(hit_moments, sigma=noise.sigma, limits=FACES.later_lines)
+    return select_lines(hit_moments, sigma=noise.sigma, coarse=coarse, limits=FACES.later_lines)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:

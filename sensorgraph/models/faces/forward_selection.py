@@ -69,14 +69,26 @@ class Lines:
         return Lines(normals=self.normals[index], offsets=self.offsets[index], spans=self.spans[index])
 
 
-def select_lines(hit_moments: HitMoments, *, sigma: float, limits: LineLimits = FACES.first_lines) -> Lines:
+def coarseness(range_noise: float) -> int:
+    """Return the number of times that a range noise [m] is `FACES.first_sigma`, at least 1."""
+    return max(round(range_noise / FACES.first_sigma), 1)
+
+
+def select_lines(
+    hit_moments: HitMoments, *, sigma: float, coarse: int = 1, limits: LineLimits = FACES.first_lines
+) -> Lines:
     """Select lines until no more lines satisfy the limits.
 
     Parameters
     ----------
     sigma : [m] Standard deviation of hits across a face (range noise and pose noise).
+    coarse : `coarseness` of the laser: cells, gaps and lengths suit one of `FACES.first_sigma`. Hits of another one are
+        selected as those of a place that is so many times smaller.
     limits : Minimum hits and length of a line, and the gap that ends it.
     """
+    if coarse > 1:
+        lines = select_lines(hit_moments.scaled_down(coarse), sigma=sigma / coarse, limits=limits)
+        return Lines(normals=lines.normals, offsets=coarse * lines.offsets, spans=coarse * lines.spans)
     if len(hit_moments.cells) == 0:
         return Lines(normals=np.zeros((0, 2)), offsets=np.zeros(0), spans=np.zeros((0, 2)))
     low = hit_moments.cells.min(axis=0)

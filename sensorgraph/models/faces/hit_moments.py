@@ -51,6 +51,19 @@ class HitMoments:
         moments[np.searchsorted(keys, theirs)] += other.moments
         return HitMoments(cells=_cells(keys), moments=moments)
 
+    def scaled_down(self, n: int) -> HitMoments:
+        """Return the moments of hits in a place n times smaller, in cells of the same side: n by n of these are joined."""
+        coarse = self.cells // n
+        x, y = ((self.cells - n * coarse - (n - 1) / 2) * HIT_CELL).T  # from the centre of the joined cell
+        w, wx, wy, wxx, wxy, wyy, ux, uy = self.moments.T
+        cells, row = _distinct(coarse)
+        columns = (
+            w, (wx + w * x) / n, (wy + w * y) / n, (wxx + 2 * x * wx + w * x * x) / n**2,
+            (wxy + x * wy + y * wx + w * x * y) / n**2, (wyy + 2 * y * wy + w * y * y) / n**2, ux, uy,
+        )  # fmt: skip
+        sums = [np.bincount(row, column, minlength=len(cells)) for column in columns]
+        return HitMoments(cells=cells, moments=np.stack(sums, axis=1))
+
     @property
     def counts(self) -> Floats:
         """(n_cells,) number of hits."""

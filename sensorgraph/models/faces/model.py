@@ -18,11 +18,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from logs.run import RangeSensor
 from logs.transforms import compose
 from sensorgraph.errors import SensorgraphError
-from sensorgraph.models.base import Point, Prediction, TrainingScans, check_options
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans, check_options
 from sensorgraph.models.calibration.calibrate import calibrate_faces, observed_by, rays_beside_faces
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
@@ -33,6 +34,7 @@ from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.faces.data import FacesData, restored_fields, stored
 from sensorgraph.models.faces.equations import face_equations
 from sensorgraph.models.faces.fit import fit_faces
+from sensorgraph.models.faces.forward_selection import coarseness
 from sensorgraph.models.faces.ray_march import (
     MIN_VISIBILITY,
     BucketGrid,
@@ -125,7 +127,12 @@ class Faces(FacesData):
             return cls(**_fit_cones(reduced, sensor, mount, can_mount=can_mount, progress=progress))
         rays = reduced.sample.rays(sensor, mount)
         with progress("fitting faces", "%") as tick:
-            fitted = fit_faces(rays, hit_moments=reduced.hit_moments, progress=tick)
+            fitted = fit_faces(
+                rays,
+                hit_moments=reduced.hit_moments,
+                coarse=coarseness(reduced.sample.noise(sensor.bearings)),
+                progress=tick,
+            )
         found = calibrate_faces(
             reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate, progress=progress
         )
@@ -184,7 +191,9 @@ class Faces(FacesData):
             table, supported = cone_table(self, lasers(poses, self.mount), rays, which_of(point))
         else:
             table, supported = thin_table(self, self.buckets, poses, rays, which_of(point))
-        is_clear = (table[..., P_OFF] < FACES.max_p_off) | (table[..., NO_RETURN] > 1 - FACES.max_p_off)
+        by_noise = 2.0 * float(ndtr(-OFF_DISTANCE / self.noise.sigma))  # of a surface that is known exactly
+        most = by_noise + (1.0 - by_noise) * FACES.max_p_off
+        is_clear = (table[..., P_OFF] < most) | (table[..., NO_RETURN] > 1 - FACES.max_p_off)
         return to_prediction(table, point, supported & is_clear)
 
     def mixture(self, poses: Floats, rays: Ints) -> Mixture:

@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from logs.run import RangeSensor
 from logs.transforms import compose
@@ -29,6 +30,8 @@ SCANS_PER_BLOCK = 8192
 (`python -m benchmarks.infrastructure build`)."""
 MAX_SAMPLED_RAYS = 1_500_000
 """Number of collected rays that are sampled, spread evenly over places and directions."""
+LOWER_QUARTILE = float(ndtri(0.625))
+"""Lower quartile of the absolute value of a standard normal variable."""
 MAX_COLLECTED_RAYS = 2 * MAX_SAMPLED_RAYS
 """Expected number of rays collected from a whole log."""
 
@@ -55,6 +58,30 @@ class RaySample:
 
     def __len__(self) -> int:
         return len(self.ranges)
+
+    def noise(self, bearings: Floats) -> float:
+        """Return the range noise [m] by the ranges r of three neighbouring rays; 0 if too few are known.
+
+        On a wall 1 / r is a sinusoid of the bearing. With the angles a and b between the rays, q is the noise:
+
+            q = sin(b) / r_1 - sin(a + b) / r_2 + sin(a) / r_3,  var(q) = sigma² (sin²(b) / r_1⁴ + ...)
+
+        It is larger at edges and on clutter, so that its lower quartile counts.
+
+        Parameters
+        ----------
+        bearings : (n_rays,) [rad]
+        """
+        is_next = np.diff(self.beams) == 1
+        first = np.flatnonzero(is_next[:-1] & is_next[1:])
+        r = self.ranges[first[:, None] + np.arange(3)]
+        known = np.isfinite(r).all(axis=1)
+        r, steps = r[known], np.diff(bearings[self.beams[first[known, None]] + np.arange(3)])
+        if len(r) == 0:
+            return 0.0
+        factors = np.sin(np.column_stack([steps[:, 1], -steps.sum(axis=1), steps[:, 0]]))
+        q, scale = (factors / r).sum(axis=1), np.sqrt(((factors / r**2) ** 2).sum(axis=1))
+        return float(np.quantile(np.abs(q) / scale, 0.25)) / LOWER_QUARTILE
 
     def spread_evenly(self, sensor: RangeSensor) -> RaySample:
         """Return at most MAX_SAMPLED_RAYS rays, with up to the same number from each place and direction."""

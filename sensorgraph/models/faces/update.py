@@ -15,7 +15,7 @@ from sensorgraph.models.faces.change_points import (
 )
 from sensorgraph.models.faces.corners import joined_visible, with_edge_errors
 from sensorgraph.models.faces.fit import PASSES
-from sensorgraph.models.faces.forward_selection import Lines, select_lines
+from sensorgraph.models.faces.forward_selection import Lines, coarseness, select_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.maximisation import STRAY_RANGE, estimate_noise, refit_lines, stretch_visibility
 from sensorgraph.models.faces.observed_space import ObservedSpace
@@ -66,6 +66,7 @@ def update_faces(
     lines = select_lines(
         hits.merge(statistics.unexplained_hits),
         sigma=noise.sigma,
+        coarse=coarseness(noise.sigma),
         limits=FACES.later_lines,
     )
     old = _with_new_faces(statistics, lines, observed)
