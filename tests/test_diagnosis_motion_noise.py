@@ -18,8 +18,7 @@ from sensorgraph.diagnosis.motion.reference_noise import (
     difference_autocovariance,
     robust_log_likelihood,
 )
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.whitening import filter_of, robust_misfit
+from sensorgraph.diagnosis.motion.whitening import HUBER_LIMIT, filter_of, robust_misfit
 
 STEP = 0.02
 
@@ -69,7 +68,7 @@ def test_compiled_misfit_and_filter_equal_the_plain_ones(seed: int) -> None:
     gamma[0] *= 1 + 1e-6
     rows, valid = 0.01 * rng.standard_t(3, size=700), rng.random(700) > 0.1
     plain = filter_of(gamma, min_innovation=1e-6)
-    misfit = robust_misfit(gamma, 1e-6, rows, valid, EVIDENCE.huber_limit)
+    misfit = robust_misfit(gamma, 1e-6, rows, valid, HUBER_LIMIT)
     assert misfit == pytest.approx(-robust_log_likelihood(plain, rows, valid), abs=1e-6)
     columns = rng.normal(size=(9000, 3))
     expected = lfilter(plain.taps, [1.0], columns, axis=0) / plain.sigma

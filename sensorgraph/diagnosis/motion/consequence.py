@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Floats
 from sensorgraph.world.robot import Robot
 
+RECKONING_TIME = 60.0
+"""[s] duration of dead reckoning, after which the error of a simulation is evaluated."""
 MIN_DRIFT = 0.002
 """Position error after a minute of dead reckoning, above which it matters to a user, as a share of the distance at top speed:
 5 cm for a robot at 0.4 m/s."""
@@ -38,7 +39,7 @@ class SimulationError:
     def is_material(self, robot: Robot, evidence: float) -> bool:
         """Tell whether the error certainly matters to a user, given the evidence [nats] that it is not zero."""
         top_speed, sure = robot.limits.v, sure_share(evidence)
-        way = top_speed * EVIDENCE.reckoning_time
+        way = top_speed * RECKONING_TIME
         return sure * self.drift > MIN_DRIFT * way or sure * self.speed > MIN_SPEED_ERROR * top_speed
 
 
@@ -109,12 +110,10 @@ def simulation_error(
     heading, error = np.cumsum(turn), np.cumsum(yaw)
     true = np.cumsum(distance * np.exp(1j * heading))
     off = np.cumsum((distance + away) * np.exp(1j * (heading + error)))
-    k = max(min(round(EVIDENCE.reckoning_time / step), n - 1), 1)
+    k = max(min(round(RECKONING_TIME / step), n - 1), 1)
     starts = np.arange(0, n - k, max(k // 6, 1))
     # from a common pose: undo the heading error from before the start
     ahead = (off[starts + k] - off[starts]) * np.exp(-1j * error[starts]) - (true[starts + k] - true[starts])
     drift = float(np.sqrt(np.mean(np.abs(ahead) ** 2))) if len(starts) else 0.0
     wheel = np.abs(away / dt) ** 2 + (base / 2 * yaw / dt) ** 2
-    return SimulationError(
-        drift=drift * EVIDENCE.reckoning_time / (k * step), speed=float(np.sqrt(np.mean(wheel)))
-    )
+    return SimulationError(drift=drift * RECKONING_TIME / (k * step), speed=float(np.sqrt(np.mean(wheel))))

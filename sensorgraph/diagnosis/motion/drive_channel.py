@@ -30,8 +30,7 @@ from sensorgraph.diagnosis.motion.odometry_channel import odometry_clock_offset
 from sensorgraph.diagnosis.motion.regression import Fit, Term
 from sensorgraph.diagnosis.motion.report import channel_result, exceeds_sizes
 from sensorgraph.diagnosis.motion.selection import MotionChannel, admitted_structure
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest, pieces
 from sensorgraph.diagnosis.motion.whitening import Whitener
 from sensorgraph.diagnosis.result import ChannelResult, MotionDifference, Rival
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -159,10 +158,9 @@ def drive_nuisances(model: DriveModel, fit: Fit) -> Floats:
     """
     rows, tolerances = model.rows, model.robot.tolerances
     sigma = float(np.hypot(tolerances.control_period / np.sqrt(12), tolerances.transport_jitter))
-    n = EVIDENCE.n_pieces
-    piece = np.clip(n * (rows.end - rows.end[0]) / np.ptp(rows.end), 0, n - 1).astype(np.intp)
+    parts = pieces(rows.end - rows.end[0], float(np.ptp(rows.end)))
     by_delay = fit.columns[:, Column.DELAY] * sigma
-    return rows.masked(np.stack([by_delay * np.tile(piece == k, 2) for k in range(n)], axis=1))
+    return rows.masked(np.stack([by_delay * np.tile(part, 2) for part in parts], axis=1))
 
 
 # report --------------------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import numpy as np
 from logs.run import Run
 from planners.arena import wrap
 from sensorgraph.diagnosis.motion.regression import Rows
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
@@ -18,6 +17,8 @@ MIN_ROWS = 60
 """Minimum number of stamps, and of rows; with fewer, the channel is skipped."""
 SAME_STAMP = 1e-6
 """[s] maximum difference between two stamps that count as one."""
+MAX_GAP = 0.35
+"""[s] maximum gap in poses, odometry or commands, across which motion is compared."""
 MIN_MOTION = 1e-3
 """[m or rad], of twists [m/s or rad/s]: range of a signal, below which it does not move."""
 
@@ -201,10 +202,7 @@ def drive_rows(
     stamps = commands.stamps
     gap = np.interp(end, stamps[1:], np.diff(stamps))
     valid: Bools = (
-        (start > stamps[0] + EVIDENCE.max_gap)
-        & (end < stamps[-1])
-        & (gap < EVIDENCE.max_gap)
-        & (end - start < EVIDENCE.max_gap)
+        (start > stamps[0] + MAX_GAP) & (end < stamps[-1]) & (gap < MAX_GAP) & (end - start < MAX_GAP)
     )
     if int(valid.sum()) < MIN_ROWS:
         raise ChannelSkippedError(

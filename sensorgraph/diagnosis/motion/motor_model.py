@@ -25,7 +25,6 @@ from sensorgraph.diagnosis.motion.regression import (
     Term,
     clusters_of,
 )
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import TestedFamily
 from sensorgraph.diagnosis.motion.whitening import (
     Whitener,
@@ -261,7 +260,7 @@ class DriveModel:
             self.fitted_noise(k, part, self.rows.valid)
             for k, part in enumerate(by_kind(residual, self.rows.n))
         )
-        self.whitener = Whitener.robust((first, second), self.rows.valid, residual, EVIDENCE.huber_limit)
+        self.whitener = Whitener.robust((first, second), self.rows.valid, residual)
 
     def fitted_noise(self, kind: int, residual: Floats, valid: Bools) -> WhiteningFilter:
         """Return autoregressive noise, fitted to a residual (n,).

@@ -10,8 +10,7 @@ from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.motor_model import Column, DriveModel
 from sensorgraph.diagnosis.motion.motor_simulation import AccelerationLimit
 from sensorgraph.diagnosis.motion.regression import Fit
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily, above_quarters
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, above_quarters, pieces
 from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.types import Bools, Floats, Ints
@@ -45,13 +44,11 @@ def drive_families(model: DriveModel, fit: Fit) -> list[StructureFamily]:
     """Return the families of differences that no effect explains, with columns (2 n, k)."""
     rows = model.rows
     middle = (rows.start + rows.end) / 2
-    share = (middle - middle[rows.valid][0]) / np.ptp(middle[rows.valid])
-    n = EVIDENCE.n_pieces
-    piece = np.clip((n * share).astype(np.intp), 0, n - 1)
-    pieces = [piece == k for k in range(1, n)]
+    used = middle[rows.valid]
+    later = pieces((middle - used[0]) / np.ptp(used))[1:]
     return [
-        _gains("time", "a gain that changes over time", model, fit, pieces, pieces),
-        _lag_over_time(model, fit, pieces),
+        _gains("time", "a gain that changes over time", model, fit, later, later),
+        _lag_over_time(model, fit, later),
         _gains_by_the_other(model, fit),
         _answers(model, fit),
         _slopes(model),
@@ -79,12 +76,12 @@ def _gains(
     )
 
 
-def _lag_over_time(model: DriveModel, fit: Fit, pieces: Sequence[Bools]) -> StructureFamily:
+def _lag_over_time(model: DriveModel, fit: Fit, later: Sequence[Bools]) -> StructureFamily:
     """Return the family of a lag that a load or a warm gear changes during the run.
 
     Waits for the control loop that spread evenly over a period smear a step as a lag of less than half a period.
     """
-    columns = [fit.columns[:, Column.LAG] * np.tile(piece, 2) for piece in pieces]
+    columns = [fit.columns[:, Column.LAG] * np.tile(piece, 2) for piece in later]
     (size,) = ACTUATOR_LAG.sizes.values()
     return StructureFamily(
         kind="lag over time",

@@ -19,10 +19,9 @@ from sensorgraph.diagnosis.engine import selection as engine
 from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError, reference_error
 from sensorgraph.diagnosis.motion.increments import MIN_ROWS, ChannelSkippedError, clock_sigma
 from sensorgraph.diagnosis.motion.reference_noise import LimitedNoiseFitter, noise_limits
-from sensorgraph.diagnosis.motion.regression import Term
+from sensorgraph.diagnosis.motion.regression import CLUSTER, Term
 from sensorgraph.diagnosis.motion.report import TriedEffect, channel_result
 from sensorgraph.diagnosis.motion.selection import MotionChannel, admitted_structure
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.slip_patches import best_patch, gains_of_discs, patch_price, refine_patch
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
@@ -260,7 +259,7 @@ def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight
         replaces = test.lead(plain, other, own) + patch_price(model) * len(model.patches) > gain
         if replaces:
             own, family, gain = plain, other, total
-    dispersion = test.dispersion(EVIDENCE.cluster, limits[0].period)
+    dispersion = test.dispersion(CLUSTER, limits[0].period)
     threshold = SCAN.selection.threshold * dispersion
 
     def size_of(missing: Floats, family: StructureFamily) -> SimulationError | ReferenceError:

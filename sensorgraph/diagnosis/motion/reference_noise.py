@@ -19,8 +19,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.whitening import WhiteningFilter, filter_of, huber_loss, robust_misfit
+from sensorgraph.diagnosis.motion.whitening import (
+    HUBER_LIMIT,
+    WhiteningFilter,
+    filter_of,
+    huber_loss,
+    robust_misfit,
+)
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
@@ -111,7 +116,7 @@ def fit_limited_noise(
         return gamma
 
     def misfit(p: Floats) -> float:
-        return robust_misfit(autocovariance(p), MIN_INNOVATION, residual, valid, EVIDENCE.huber_limit)
+        return robust_misfit(autocovariance(p), MIN_INNOVATION, residual, valid, HUBER_LIMIT)
 
     first: Floats = np.zeros(4) if start is None else start
     options: Any = {
@@ -127,7 +132,7 @@ def fit_limited_noise(
 
 def robust_log_likelihood(noise: WhiteningFilter, residual: Floats, valid: Bools) -> float:
     """Return the log-likelihood of a residual (n,) with Huber's loss, without constants [nats]."""
-    loss = huber_loss(noise(residual)[valid], EVIDENCE.huber_limit)
+    loss = huber_loss(noise(residual)[valid])
     return -float(loss.sum()) - float(valid.sum()) * float(np.log(noise.sigma))
 
 

@@ -15,11 +15,15 @@ from typing import Any
 import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import occam_factor
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.scan.normal_equations import solve_bounded
 from sensorgraph.effects import Effect
 from sensorgraph.types import Bools, Floats, Ints
 
+CLUSTER = 2.0
+"""[s] within which errors may be correlated, beyond the whitening filter; over longer times, the reference is more accurate
+than the wheels."""
+TEMPERATURE = 4.0
+"""Divisor of the evidence before it becomes a probability, since models are wrong in more ways than noise."""
 RIDGE = 1e-8
 """Share of the mean square of the columns; keeps normal equations without a prior regular."""
 
@@ -202,7 +206,7 @@ class Fit:
         stamps : (n,) [s]
         """
         y, regression = self.y - self.simulated, self.regression
-        block = ((stamps - stamps[0]) // EVIDENCE.cluster).astype(np.intp)
+        block = ((stamps - stamps[0]) // CLUSTER).astype(np.intp)
         half, out = np.tile(block % 2, len(y) // len(stamps)), np.zeros(len(y))
         for side in (0, 1):
             train = half == side
@@ -213,7 +217,7 @@ class Fit:
 
 def clusters_of(stamps: Floats, n_kinds: int) -> Ints:
     """Return the cluster (n_kinds n,) of rows at stamps (n,) [s], within which errors may be correlated."""
-    block = ((stamps - stamps[0]) / EVIDENCE.cluster).astype(np.intp)
+    block = ((stamps - stamps[0]) / CLUSTER).astype(np.intp)
     return np.tile(block, n_kinds)
 
 

@@ -12,9 +12,8 @@ from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
 from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE, SURELY, Facts, Objection, Verdict
 from sensorgraph.diagnosis.ledger import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import SimulationError
-from sensorgraph.diagnosis.motion.regression import Fit, Term
+from sensorgraph.diagnosis.motion.regression import TEMPERATURE, Fit, Term
 from sensorgraph.diagnosis.motion.selection import FAMILIES_OF, MotionModel
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, TestedFamily
 from sensorgraph.diagnosis.result import (
     BOTH_SIDES,
@@ -110,7 +109,7 @@ def _accepted(
         for other in model.terms
         if other not in terms and other.effect is not None
     } | dict(instead(rest_terms, term))
-    values = np.array([evidence, *alternatives.values(), 0.0]) / EVIDENCE.temperature
+    values = np.array([evidence, *alternatives.values(), 0.0]) / TEMPERATURE
     share = np.exp(values - values.max())
     sized = model.sized(term, fit, error)
     a = replace(sized, evidence=evidence, probability=float(share[0] / share.sum()))

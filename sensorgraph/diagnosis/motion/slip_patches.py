@@ -16,8 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
-from sensorgraph.diagnosis.motion.regression import Term
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.motion.regression import TEMPERATURE, Term
 from sensorgraph.diagnosis.motion.wheel_model import SlipPatch, WheelModel
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.types import Floats
@@ -139,7 +138,7 @@ def _posterior(
         x[:, 2] = np.clip(x[:, 2], *np.log([RADII[0], RADII[-1]]))
         discs = np.column_stack([x[:, :2], np.exp(x[:, 2])])
         gains, lost = gains_of_discs(model, discs, track, terms)
-        log_p = gains / EVIDENCE.temperature - 2 * x[:, 2]
+        log_p = gains / TEMPERATURE - 2 * x[:, 2]
         weight = np.exp(log_p - log_p.max())
         weight /= weight.sum()
         best, middle = x[int(np.argmax(gains))], weight @ x

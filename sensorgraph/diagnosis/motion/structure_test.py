@@ -20,10 +20,15 @@ from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationE
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
 from sensorgraph.diagnosis.motion.regression import RIDGE
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, by_kind
+from sensorgraph.diagnosis.motion.whitening import HUBER_LIMIT, Whitener, WhiteningFilter, by_kind
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.types import Bools, Floats
+
+SCALE_SIGMA = 0.1
+"""Prior standard deviation of a coefficient of structure, unless its family says otherwise: of a scale, a gain, an angle [rad], a
+speed [m/s], a turn rate [rad/s], a clock offset [s], or a jump [m, rad]."""
+N_PIECES = 6
+"""Number of pieces of the run in which scales, gains or delays may differ."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +41,7 @@ class StructureFamily:
     """(n_kinds n, k)"""
     statement: str
     """Noun phrase that completes the sentence "the readings differ by ..."."""
-    sigma: float = EVIDENCE.scale_sigma
+    sigma: float = SCALE_SIGMA
     """Prior standard deviation of each coefficient."""
     is_of_reference: bool = False
     """Whether it describes an error of the reference poses, not of the robot."""
@@ -159,12 +164,11 @@ class StructureTest:
 
         It is 1 for uncorrelated whitened rows, which are `period` [s] apart, and larger for correlated ones.
         """
-        limit = EVIDENCE.huber_limit
         block = np.arange(self.n) // max(round(span / period), 1)
         sums, squares = 0.0, 0.0
         for noise, part in zip(self.whitener.filters, by_kind(self.residual, self.n), strict=True):
             white = np.where(self.valid, noise(part), 0.0)
-            limited = np.clip(white, -limit, limit)
+            limited = np.clip(white, -HUBER_LIMIT, HUBER_LIMIT)
             sums += float(np.square(np.bincount(block, limited)).sum())
             squares += float(np.square(limited).sum())
         return max(1.0, sums / max(squares, 1e-12))
@@ -203,7 +207,7 @@ class StructureTest:
         whitener = Whitener.plain(noise, self.valid)
         for _ in range(N_REWEIGHTED):
             residual, price = self._fit_columns(whitener, own, family)
-            whitener = Whitener.robust(noise, self.valid, residual, EVIDENCE.huber_limit)
+            whitener = Whitener.robust(noise, self.valid, residual)
         residual, price = self._fit_columns(whitener, own, family)
         parts = zip(noise, by_kind(residual, self.n), strict=True)
         evidence = sum(robust_log_likelihood(one, part, self.valid) for one, part in parts) - price
@@ -261,6 +265,17 @@ class StructureTest:
             price = occam - paid + family.choice_price
             out.append(TestedFamily(family=family, evidence=evidence, price=price))
         return out
+
+
+def pieces(passed: Floats, span: float = 1.0) -> list[Bools]:
+    """Return which rows are in each piece of the run: one mask (n,) per piece.
+
+    Parameters
+    ----------
+    passed : (n,) Time since the start of the run, as a share of it or in the unit of `span`.
+    """
+    piece = np.clip((N_PIECES * passed / span).astype(np.intp), 0, N_PIECES - 1)
+    return [piece == k for k in range(N_PIECES)]
 
 
 def above_quarters(rates: Floats) -> list[Bools]:

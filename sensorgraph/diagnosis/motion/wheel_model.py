@@ -21,6 +21,7 @@ from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation
 from sensorgraph.diagnosis.motion.increments import WheelIncrements, clock_sigma
 from sensorgraph.diagnosis.motion.reference_noise import FILTER_ORDER
 from sensorgraph.diagnosis.motion.regression import (
+    CLUSTER,
     BoundedPrior,
     Fit,
     Regression,
@@ -28,7 +29,6 @@ from sensorgraph.diagnosis.motion.regression import (
     clusters_of,
     ridge_solution,
 )
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
 from sensorgraph.diagnosis.motion.structure_test import TestedFamily
 from sensorgraph.diagnosis.motion.wheel_rows import WINDOW, OdometryRows
 from sensorgraph.diagnosis.motion.wheel_structure import in_curves
@@ -172,7 +172,7 @@ class WheelModel:
                 )
                 for part in by_kind(self.residual, n)
             )
-            self.whitener = Whitener.robust(filters, valid, self.residual, EVIDENCE.huber_limit)
+            self.whitener = Whitener.robust(filters, valid, self.residual)
         self.whiten()
 
     def denoise_motion(self) -> None:
@@ -354,7 +354,7 @@ def fused_motion(rows: OdometryRows, wheels: WheelIncrements, residual: Floats) 
         float(np.median(np.diff(rows.stamps))),
         np.append(wheels.start, wheels.end[-1]) - rows.clock,
     )
-    k, noise = max(round(EVIDENCE.cluster / period), 2), list[Floats]()
+    k, noise = max(round(CLUSTER / period), 2), list[Floats]()
     for kind in by_kind(residual, rows.n)[:2]:
         part = np.where(rows.valid, clipped(kind, rows.valid, SCAN.goodness_of_fit.clip, 1e-12), 0.0)
         n = max(len(part) // k, 1)

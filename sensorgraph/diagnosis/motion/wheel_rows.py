@@ -18,6 +18,7 @@ from scipy import sparse
 from logs.run import Run
 from planners.arena import wrap
 from sensorgraph.diagnosis.motion.increments import (
+    MAX_GAP,
     MIN_ROWS,
     SAME_STAMP,
     ChannelSkippedError,
@@ -25,8 +26,7 @@ from sensorgraph.diagnosis.motion.increments import (
     require_reference,
     wheel_increments,
 )
-from sensorgraph.diagnosis.motion.regression import Rows
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
+from sensorgraph.diagnosis.motion.regression import CLUSTER, Rows
 from sensorgraph.types import Bools, Floats, Ints
 
 FEW_INCREMENTS = 0.995
@@ -111,8 +111,8 @@ def rows_at(signals: MotionSignals, clock: float) -> OdometryRows | None:
     heading = np.interp(middle, ends, total) + np.interp(middle, centre, offset)
     phi = np.interp(border, ends, total) + np.interp(border, centre, offset)
     step = np.diff(averages, axis=0)
-    is_dense = np.ptp(t, axis=1) < EVIDENCE.max_gap + m * period
-    valid = (np.diff(centre) < max(EVIDENCE.max_gap, 2.5 * m * period)) & is_dense[1:] & is_dense[:-1]
+    is_dense = np.ptp(t, axis=1) < MAX_GAP + m * period
+    valid = (np.diff(centre) < max(MAX_GAP, 2.5 * m * period)) & is_dense[1:] & is_dense[:-1]
     weights, index, has_room = _overlaps(t, start, end)
     smooth = _smooth_positions(averages, wheels, heading, centre, ends, m * period)
     increment_poses = [np.interp(middle, centre, column) for column in smooth.T]
@@ -140,7 +140,7 @@ def _smooth_positions(
     steps = wheels.distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     trail = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     by_wheels = np.stack([np.interp(centre, ends, column) for column in trail.T], axis=1)
-    width = EVIDENCE.cluster / period
+    width = CLUSTER / period
     offsets = [_moving_average(column, width) for column in (averages[:, :2] - by_wheels).T]
     return np.asarray(by_wheels + np.stack(offsets, axis=1))
 
@@ -162,7 +162,7 @@ def _overlaps(t: Floats, start: Floats, end: Floats) -> tuple[Floats, Ints, Bool
     a, span = start[index][..., None], (end - start)[index][..., None]
     weights = _shares((t[1:, None, :] - a) / span) - _shares((t[:-1, None, :] - a) / span)
     weights[places != index] = 0.0
-    ok = (last - first < room - 2) & ((end - start)[index].max(axis=1) < EVIDENCE.max_gap)
+    ok = (last - first < room - 2) & ((end - start)[index].max(axis=1) < MAX_GAP)
     return weights, index, ok
 
 

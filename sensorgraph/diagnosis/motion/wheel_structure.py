@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from sensorgraph.diagnosis.motion.increments import WheelIncrements
-from sensorgraph.diagnosis.motion.settings import EVIDENCE
-from sensorgraph.diagnosis.motion.structure_test import StructureFamily, above_quarters
+from sensorgraph.diagnosis.motion.structure_test import StructureFamily, above_quarters, pieces
 from sensorgraph.diagnosis.motion.wheel_rows import AVERAGING_TIME, OdometryRows
 from sensorgraph.diagnosis.motion.whitening import by_kind
 from sensorgraph.robust import robust_sigma
@@ -137,10 +136,9 @@ def _scaled(
 
 def _at_rest(rows: OdometryRows, wheels: WheelIncrements) -> StructureFamily:
     """Return the family of a turn rate that persists at rest, and may change over time."""
-    time = wheels.end - wheels.start
-    n, passed = EVIDENCE.n_pieces, wheels.middle - wheels.start[0]
-    piece = np.clip((n * passed / (wheels.end[-1] - wheels.start[0])).astype(np.intp), 0, n - 1)
-    turns = np.stack([time, *(time * (piece == k) for k in range(n))], axis=1)
+    time, first = wheels.end - wheels.start, wheels.start[0]
+    parts = pieces(wheels.middle - first, wheels.end[-1] - first)
+    turns = np.stack([time, *(time * part for part in parts)], axis=1)
     return StructureFamily(
         kind="at rest",
         columns=rows.of_wheels(np.zeros_like(turns), turns),
@@ -178,9 +176,8 @@ def _speeds(rates: Floats) -> list[Scale]:
 
 def _clock_pieces(rows: OdometryRows) -> StructureFamily:
     """Return the family of clock offsets that change over time."""
-    share, n = (rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps), EVIDENCE.n_pieces
-    piece = np.clip((n * share).astype(np.intp), 0, n - 1)
-    columns = [rows.of_kinds(*((piece == k)[:, None] * rows.slopes).T) for k in range(n)]
+    parts = pieces((rows.stamps - rows.stamps[0]) / np.ptp(rows.stamps))
+    columns = [rows.of_kinds(*(part[:, None] * rows.slopes).T) for part in parts]
     return StructureFamily(
         kind="clock",
         columns=np.stack(columns, axis=1),

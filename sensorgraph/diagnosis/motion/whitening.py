@@ -22,6 +22,8 @@ from planners.kernel import kernel
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Bools, Floats
 
+HUBER_LIMIT = 3.0
+"""Limit of Huber's loss, in standard deviations."""
 ROWS_AT_A_TIME = 4096
 """Rows filtered at a time: the data stays in the cache, and a long run needs no further memory."""
 
@@ -101,25 +103,13 @@ def clipped(residual: Floats, valid: Bools, limit: float, floor: float) -> Float
     return np.clip(residual, -most, most)
 
 
-def huber_weights(white: Floats, limit: float) -> Floats:
-    """Return Huber's weights in (0, 1] for residuals in standard deviations.
-
-        weight = min(1, limit / |white|)
-
-    Whitened rows are multiplied by the square root of the weight.
-    """
-    return np.minimum(1.0, limit / np.maximum(np.abs(white), 1e-9))
-
-
-def huber_loss(white: Floats, limit: float) -> Floats:
+def huber_loss(white: Floats) -> Floats:
     """Return Huber's loss of whitened residuals [nats].
 
-        loss = white² / 2 for |white| < limit, limit |white| - limit² / 2 otherwise
-
-    The limit is in standard deviations.
+    loss = white² / 2 for |white| < limit, limit |white| - limit² / 2 otherwise
     """
     size = np.abs(white)
-    return np.where(size < limit, 0.5 * size**2, limit * size - 0.5 * limit**2)
+    return np.where(size < HUBER_LIMIT, 0.5 * size**2, HUBER_LIMIT * size - 0.5 * HUBER_LIMIT**2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,16 +129,10 @@ class Whitener:
         return cls(filters=filters, valid=valid, weights=np.ones(len(filters) * len(valid)))
 
     @classmethod
-    def robust(
-        cls,
-        filters: tuple[WhiteningFilter, ...],
-        valid: Bools,
-        residual: Floats,
-        limit: float,
-    ) -> Whitener:
-        """Return a whitener with Huber's weights, from a residual (n_kinds n,) and a limit in standard deviations."""
-        white = cls.plain(filters, valid)(residual)
-        return cls(filters=filters, valid=valid, weights=np.sqrt(huber_weights(white, limit)))
+    def robust(cls, filters: tuple[WhiteningFilter, ...], valid: Bools, residual: Floats) -> Whitener:
+        """Return a whitener with Huber's weights min(1, limit / |white|), from a residual (n_kinds n,)."""
+        white = np.maximum(np.abs(cls.plain(filters, valid)(residual)), 1e-9)
+        return cls(filters=filters, valid=valid, weights=np.sqrt(np.minimum(1.0, HUBER_LIMIT / white)))
 
     def __call__(self, columns: Floats) -> Floats:
         """Return rows (n_kinds n,) or columns (n_kinds n, k), whitened along time and weighted; 0 where not valid."""
