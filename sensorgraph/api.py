@@ -17,9 +17,9 @@ from planners.trajectory import Trajectory
 from sensorgraph.arguments import AtLeastOne, Count
 from sensorgraph.building import build as building
 from sensorgraph.diagnosis import diagnose as diagnosing
-from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
 from sensorgraph.diagnosis.commissioning import commission_all
 from sensorgraph.diagnosis.report.files import Diagnosis, DrivingDiagnosis
+from sensorgraph.diagnosis.simulation import diagnose_against_simulation
 from sensorgraph.diagnosis.without_reference import drive_alone, driving_of, located_in, with_driving
 from sensorgraph.effects import Amendment, effects_file
 from sensorgraph.errors import SensorgraphError, as_sensorgraph_error, takes_options

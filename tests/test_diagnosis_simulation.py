@@ -12,12 +12,12 @@ from conftest import polygon_arena
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnosis import scan_channel
-from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
 from sensorgraph.diagnosis.report.data import to_dict
 from sensorgraph.diagnosis.report.summary import summarise
+from sensorgraph.diagnosis.result import counterpart, is_same_size
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
-from sensorgraph.diagnosis.simulation import counterpart, is_same_size
+from sensorgraph.diagnosis.simulation import diagnose_against_simulation
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import parse_robot

@@ -105,9 +105,9 @@ def diagnose(
     """
     from sensorgraph.cli.inputs import noted, read_options, read_run, with_poses, with_robot
     from sensorgraph.cli.progress import progress
-    from sensorgraph.diagnosis.against_simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.diagnose import diagnose as diagnose_run
     from sensorgraph.diagnosis.report.files import save_diagnosis
+    from sensorgraph.diagnosis.simulation import diagnose_against_simulation
     from sensorgraph.diagnosis.without_reference import driving_of, with_described_mount, with_driving
 
     _check(runs, simulation, commissioning, out, why)

@@ -26,7 +26,7 @@ from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import RoomExposure, open_questions
 from sensorgraph.diagnosis.raster_map import RasterMap, raster_map_of, without_unknown_space
-from sensorgraph.diagnosis.result import ChannelResult
+from sensorgraph.diagnosis.result import ChannelResult, shared_with, without_shared
 from sensorgraph.diagnosis.scan.held_out_gap import held_out
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out, freed_of_scans
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
@@ -38,7 +38,6 @@ from sensorgraph.diagnosis.scan_channel import (
     diagnose_scans,
     shows_straight_reference,
 )
-from sensorgraph.diagnosis.simulation import shared_with, without_shared
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.actuator_lag import ACTUATOR_LAG

@@ -17,8 +17,41 @@ from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.unnamed.scans_elsewhere import tolerance_scale
-from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaserNoise:
+    """Noise of a laser, as one log shows it."""
+
+    scatter: float
+    """[m] robust standard deviation of the readings about the model."""
+    lost: float
+    """Share of the rays with a missing return."""
+    stray: float
+    """Share of the returns that are outliers."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulationComparison:
+    """Differences between the log of a robot and that of a simulator."""
+
+    name: str
+    """Of the simulator's log."""
+    shared: tuple[Amendment, ...] = ()
+    """Effects that both show, with the parameters of the simulation."""
+    changed: tuple[tuple[Amendment, Amendment], ...] = ()
+    """Effects that both show with different sizes: the robot's, the simulation's."""
+    only_in_simulation: tuple[Amendment, ...] = ()
+    """Effects that the robot does not show."""
+    not_observable: Mapping[str, str] = field(default_factory=dict)
+    """Effect of `only_in_simulation` -> reason why the robot's log could not have shown it."""
+    unknown: Unknown | None = None
+    """Unmodelled structure in the simulation."""
+    shares_unknown: bool = False
+    """Whether the robot's log shows the same structure, so that it is not a difference."""
+    robot_noise: LaserNoise | None = None
+    simulated_noise: LaserNoise | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from sensorgraph.diagnosis.engine.ledger import Entry
 from sensorgraph.diagnosis.engine.verdict import Objection
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
+from sensorgraph.effects.effect import size_ratio
 from sensorgraph.types import Floats
 
 BOTH_SIDES = {"odometry": "odometry and reference pose", "drive": "commands and odometry"}
 """Motion channel -> the two signals that it compares."""
+MAX_STDERRS = 3.0
+"""Minimum difference between two sizes of an effect, in standard errors, to be called different."""
+MAX_SHARE = 0.1
+"""Minimum relative difference of a parameter without materiality, to be called different."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,3 +225,44 @@ def _is_close(a: Amendment, rival: Rival) -> bool:
     A rival that is far ahead was rejected for another reason, and is not close.
     """
     return rival.instead_of == a.name and abs((a.evidence or 0.0) - rival.evidence_nats) < rival.required_nats
+
+
+def counterpart(a: Amendment, others: Sequence[Amendment]) -> Amendment | None:
+    """Return the effect with the same name and place, if it is among the others."""
+    return next((b for b in others if b.name == a.name and _is_same_place(a, b)), None)
+
+
+def _is_same_place(a: Amendment, b: Amendment) -> bool:
+    if a.effect.place == "spot":
+        return bool(np.hypot(a["x"] - b["x"], a["y"] - b["y"]) <= a["r"] + b["r"])
+    if a.effect.place == "sector":
+        return max(a["theta1"], b["theta1"]) <= min(a["theta2"], b["theta2"])
+    return a.place == b.place
+
+
+def is_same_size(a: Amendment, b: Amendment) -> bool:
+    """Tell whether two sizes of one effect differ by less than their materiality or their standard errors."""
+    off = {k: a[k] - b[k] for k in a.parameters if k in b.parameters}
+    error = {k: float(np.hypot(a.stderr.get(k, 0.0), b.stderr.get(k, 0.0))) for k in off}
+    clear = {k: d for k, d in off.items() if abs(d) > MAX_STDERRS * error[k]}
+    sizes = {k: d for k, d in clear.items() if k in a.effect.sizes}
+    if sizes and size_ratio(a.effect, sizes) >= 1.0:
+        return False
+    places = {"x", "y", "a", "b", "theta1", "theta2"}  # compared as the place
+    rest = {k: d for k, d in clear.items() if k not in a.effect.sizes and k not in places}
+    return all(abs(d) <= MAX_SHARE * max(abs(a[k]), abs(b[k])) for k, d in rest.items())
+
+
+def shared_with(result: ChannelResult, simulated: Sequence[Amendment]) -> tuple[Amendment, ...]:
+    """Return the effects of a simulation that a channel of the robot names with the same size."""
+    pairs = [(a, counterpart(a, simulated)) for a in result.effects]
+    return tuple(b for a, b in pairs if b is not None and is_same_size(a, b))
+
+
+def without_shared(result: ChannelResult, simulated: Sequence[Amendment]) -> ChannelResult:
+    """Remove the effects that robot and simulation share."""
+    shared = shared_with(result, simulated)
+    why = Objection("in_the_simulation", "the simulation shows it with the same size")
+    return result.without(
+        {i: why for i, a in enumerate(result.effects) if counterpart(a, shared) is not None}
+    )

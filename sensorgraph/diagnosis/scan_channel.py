@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from sensorgraph.diagnosis.motion.wheel_structure import BENT_REFERENCE
-from sensorgraph.diagnosis.result import ChannelResult, Gap
+from sensorgraph.diagnosis.result import ChannelResult, Gap, shared_with
 from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
@@ -27,7 +27,6 @@ from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import doubt_of_scatter, freed_scatter
-from sensorgraph.diagnosis.simulation import shared_with
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Progress, ProgressBars, no_progress

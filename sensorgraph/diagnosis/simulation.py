@@ -1,4 +1,4 @@
-"""Common and different effects in a log of the robot and a log of the user's own simulator.
+"""Diagnose a run against a log of the user's own simulator: common and different effects.
 
 Both are diagnosed against the same arena and robot file, which therefore cancel:
 
@@ -9,58 +9,108 @@ Both are diagnosed against the same arena and robot file, which therefore cancel
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from sensorgraph.diagnosis.engine.verdict import Objection
-from sensorgraph.diagnosis.result import ChannelResult, Unknown
+from logs.run import Run
+from planners.arena import Arena
+from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.finding import Finding, LaserNoise, SimulationComparison
+from sensorgraph.diagnosis.result import Unknown, counterpart
 from sensorgraph.diagnosis.scan.fit import Fitted
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
-from sensorgraph.effects.effect import size_ratio
+from sensorgraph.errors import SensorgraphError
 from sensorgraph.robust import robust_sigma
-
-MAX_STDERRS = 3.0
-"""Minimum difference between two sizes of an effect, in standard errors, to be called different."""
-MAX_SHARE = 0.1
-"""Minimum relative difference of a parameter without materiality, to be called different."""
+from sensorgraph.types import ProgressBars, no_progress
+from sensorgraph.world.robot import Robot
 
 
-@dataclass(frozen=True, kw_only=True)
-class LaserNoise:
-    """Noise of a laser, as one log shows it."""
+def diagnose_against_simulation(
+    run: Run,
+    arena: Arena,
+    robot: Robot,
+    *,
+    simulation: Run,
+    name: str = "the simulation",
+    known: Sequence[Amendment] = (),
+    force: bool = True,
+    progress: ProgressBars = no_progress,
+    **options: Any,
+) -> Finding:
+    """Name the effects that a run of the robot shows and a run of the user's simulator does not.
 
-    scatter: float
-    """[m] robust standard deviation of the readings about the model."""
-    lost: float
-    """Share of the rays with a missing return."""
-    stray: float
-    """Share of the returns that are outliers."""
+    Parameters
+    ----------
+    simulation : A run in the user's simulator, in the same arena, along any path.
+    name : Of the simulation's log, for messages.
+    known : Effects that are already part of the model.
+    options : Of `diagnose`.
+
+    Raises
+    ------
+    SensorgraphError
+        A run is too short, has no returns or no poses, has poses that jump, or is of another sensor or place.
+    """
+    try:
+        theirs = diagnose(
+            simulation,
+            arena,
+            robot,
+            known=known,
+            seed=options.get("seed", 0),
+            plan_next=False,
+            force=force,
+            progress=progress,
+        )
+    except SensorgraphError as exc:
+        raise SensorgraphError(f"{name}: {exc}") from exc
+    if theirs.explained is None:
+        raise SensorgraphError(
+            f"{name}: {theirs.intake['arena']}; give a simulation recorded in the same arena"
+        )
+    ours = diagnose(
+        run, arena, robot, known=known, simulated=theirs.effects, force=force, progress=progress, **options
+    )
+    read = [*ours.intake["log_notes"], *(f"simulation {note}" for note in theirs.intake["log_notes"])]
+    ours = replace(ours, intake={**ours.intake, "log_notes": read})
+    return ours if ours.explained is None else _with_comparison(ours, compared_with(ours, theirs, name))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SimulationComparison:
-    """Differences between the log of a robot and that of a simulator."""
+def compared_with(ours: Finding, theirs: Finding, name: str) -> SimulationComparison:
+    """Sort the effects of a run and of a simulation by which of the two shows them."""
+    assert ours.explained is not None and theirs.explained is not None
+    both = [(a, counterpart(a, theirs.effects)) for a in ours.effects]
+    changed = [(a, b) for a, b in both if b is not None]
+    small = [a for channel in ours.channels.values() for a in (*channel.within_tolerance, *channel.undecided)]
+    seen = (*ours.effects, *ours.shared, *small)
+    only = [b for b in theirs.effects if counterpart(b, seen) is None]
+    unseen = {key: why for channel in ours.channels.values() for key, why in channel.not_observable.items()}
+    unknown = theirs.unknown
+    return SimulationComparison(
+        name=name,
+        shared=ours.shared,
+        changed=tuple(changed),
+        only_in_simulation=tuple(only),
+        not_observable={b.name: unseen[b.name] for b in only if b.name in unseen},
+        unknown=unknown,
+        shares_unknown=any(is_same_unknown(one.unknown, unknown) for one in ours.channels.values()),
+        robot_noise=laser_noise(ours.explained.final),
+        simulated_noise=laser_noise(theirs.explained.final),
+    )
 
-    name: str
-    """Of the simulator's log."""
-    shared: tuple[Amendment, ...] = ()
-    """Effects that both show, with the parameters of the simulation."""
-    changed: tuple[tuple[Amendment, Amendment], ...] = ()
-    """Effects that both show with different sizes: the robot's, the simulation's."""
-    only_in_simulation: tuple[Amendment, ...] = ()
-    """Effects that the robot does not show."""
-    not_observable: Mapping[str, str] = field(default_factory=dict)
-    """Effect of `only_in_simulation` -> reason why the robot's log could not have shown it."""
-    unknown: Unknown | None = None
-    """Unmodelled structure in the simulation."""
-    shares_unknown: bool = False
-    """Whether the robot's log shows the same structure, so that it is not a difference."""
-    robot_noise: LaserNoise | None = None
-    simulated_noise: LaserNoise | None = None
+
+def _with_comparison(finding: Finding, compared: SimulationComparison) -> Finding:
+    """Return the finding with its comparison; unmodelled structure that both show is not a difference."""
+    channels = {
+        name: replace(one, unknown=None) if is_same_unknown(one.unknown, compared.unknown) else one
+        for name, one in finding.channels.items()
+    }
+    return replace(finding, channels=channels, simulation=compared)
 
 
 def laser_noise(fitted: Fitted) -> LaserNoise:
@@ -74,47 +124,6 @@ def laser_noise(fitted: Fitted) -> LaserNoise:
         scatter=scatter,
         lost=float(view.lost[due].mean()) if due.any() else 0.0,
         stray=float(view.strange.sum() / max(view.returned.sum(), 1)),
-    )
-
-
-def counterpart(a: Amendment, others: Sequence[Amendment]) -> Amendment | None:
-    """Return the effect with the same name and place, if it is among the others."""
-    return next((b for b in others if b.name == a.name and _is_same_place(a, b)), None)
-
-
-def _is_same_place(a: Amendment, b: Amendment) -> bool:
-    if a.effect.place == "spot":
-        return bool(np.hypot(a["x"] - b["x"], a["y"] - b["y"]) <= a["r"] + b["r"])
-    if a.effect.place == "sector":
-        return max(a["theta1"], b["theta1"]) <= min(a["theta2"], b["theta2"])
-    return a.place == b.place
-
-
-def is_same_size(a: Amendment, b: Amendment) -> bool:
-    """Tell whether two sizes of one effect differ by less than their materiality or their standard errors."""
-    off = {k: a[k] - b[k] for k in a.parameters if k in b.parameters}
-    error = {k: float(np.hypot(a.stderr.get(k, 0.0), b.stderr.get(k, 0.0))) for k in off}
-    clear = {k: d for k, d in off.items() if abs(d) > MAX_STDERRS * error[k]}
-    sizes = {k: d for k, d in clear.items() if k in a.effect.sizes}
-    if sizes and size_ratio(a.effect, sizes) >= 1.0:
-        return False
-    places = {"x", "y", "a", "b", "theta1", "theta2"}  # compared as the place
-    rest = {k: d for k, d in clear.items() if k not in a.effect.sizes and k not in places}
-    return all(abs(d) <= MAX_SHARE * max(abs(a[k]), abs(b[k])) for k, d in rest.items())
-
-
-def shared_with(result: ChannelResult, simulated: Sequence[Amendment]) -> tuple[Amendment, ...]:
-    """Return the effects of a simulation that a channel of the robot names with the same size."""
-    pairs = [(a, counterpart(a, simulated)) for a in result.effects]
-    return tuple(b for a, b in pairs if b is not None and is_same_size(a, b))
-
-
-def without_shared(result: ChannelResult, simulated: Sequence[Amendment]) -> ChannelResult:
-    """Remove the effects that robot and simulation share."""
-    shared = shared_with(result, simulated)
-    why = Objection("in_the_simulation", "the simulation shows it with the same size")
-    return result.without(
-        {i: why for i, a in enumerate(result.effects) if counterpart(a, shared) is not None}
     )
 
 

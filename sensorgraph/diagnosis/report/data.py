@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.finding import Finding, SimulationComparison
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding
 from sensorgraph.diagnosis.motion.calibration.estimate import NUISANCES, PARAMETERS, DrivingCalibration
 from sensorgraph.diagnosis.report.summary import main_channel
 from sensorgraph.diagnosis.result import ChannelResult, Deviation, Gap, Unknown
-from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
 UNITS = dict(

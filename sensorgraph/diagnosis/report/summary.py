@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from sensorgraph.diagnosis.finding import Finding
+from sensorgraph.diagnosis.finding import Finding, SimulationComparison
 from sensorgraph.diagnosis.motion.calibration.comparison import QUANTITIES
 from sensorgraph.diagnosis.report.considered import tolerated
 from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
 from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Gap, Rival, Unknown
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.simulation import SimulationComparison
 from sensorgraph.effects import Amendment
 
 OF_MOUNT = {QUANTITIES[name].effect.name for name in ("mount_x", "mount_phi", "delay")}
