@@ -20,14 +20,14 @@ from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import (
+from sensorgraph.diagnosis.scan.worth import clutter_floor, price, surely_stands
+from sensorgraph.diagnosis.site_baseline import (
+    SiteBaseline,
     SitePrior,
     WindowEstimate,
     baseline_intervals,
     between_windows,
 )
-from sensorgraph.diagnosis.scan.worth import clutter_floor, price, surely_stands
-from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import default_robot
 
@@ -113,12 +113,13 @@ def test_a_bias_that_the_good_run_lacks_is_named_first_with_its_size(good: SiteB
 
 @pytest.mark.slow
 def test_a_turned_laser_is_named_though_the_poses_are_its_own(good: SiteBaseline) -> None:
-    effect = against(good, site_run(4, turn=0.02)).effects[0]
+    found = against(good, site_run(4, turn=0.02))
+    effect = found.effects[0]
     assert effect.name == "mount_yaw"
     assert effect["delta"] == pytest.approx(0.02, abs=0.004)
     bare, _ = prepare_scans(site_run(4), ARENA, ROBOT)
     assert bare.laser_frame
-    assert not good.apply_to(bare).laser_frame
+    assert not found.data.laser_frame
 
 
 def test_the_good_run_loosens_pose_tolerances_to_what_its_poses_deserve(good: SiteBaseline) -> None:

@@ -13,10 +13,10 @@ from planners.arena import Arena
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, SitePrior
 from sensorgraph.diagnosis.scan.unnamed import Doubt, sure
 from sensorgraph.diagnosis.scan.unnamed.change_in_time import find
 from sensorgraph.diagnosis.scan.unnamed.columns import N_PARTS
+from sensorgraph.diagnosis.site_baseline import BaselineInterval, SitePrior
 from sensorgraph.effects import EFFECTS, Amendment
 
 

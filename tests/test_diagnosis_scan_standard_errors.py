@@ -16,8 +16,8 @@ from sensorgraph.diagnosis.scan.materiality import material_probability
 from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.site_sizes import BaselineInterval, SitePrior
 from sensorgraph.diagnosis.scan.standard_errors import jagged_error, lattice_error, standard_errors
+from sensorgraph.diagnosis.site_baseline import BaselineInterval, SitePrior
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.world.robot import parse_robot
 

@@ -14,8 +14,8 @@ from sensorgraph.diagnosis.result import ChannelResult, Rival, without_close_cal
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_sizes import SitePrior
 from sensorgraph.diagnosis.scan.worth import evidence, parts_of_way, spread_evidence
+from sensorgraph.diagnosis.site_baseline import SitePrior
 from sensorgraph.effects import EFFECTS, Amendment
 
 BIAS = EFFECTS["range_bias"](b=0.03)

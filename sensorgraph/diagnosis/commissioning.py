@@ -30,7 +30,6 @@ from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.shortlist import SearchMemory, shortlist
-from sensorgraph.diagnosis.scan.site_sizes import SitePrior, WindowEstimate
 from sensorgraph.diagnosis.scan.worth import (
     must_be_spread,
     pose_tolerances,
@@ -40,7 +39,7 @@ from sensorgraph.diagnosis.scan.worth import (
     spread_evidence,
     surely_stands,
 )
-from sensorgraph.diagnosis.site_baseline import SiteBaseline
+from sensorgraph.diagnosis.site_baseline import SiteBaseline, SitePrior, WindowEstimate
 from sensorgraph.effects import EFFECTS, Amendment, quantisation
 from sensorgraph.robust import rms
 from sensorgraph.types import Progress

@@ -178,7 +178,9 @@ def _prepare(
         data, said = without_unknown_space(data, with_changes=not is_uncommissioned)
         notes |= said | {"is_uncommissioned_graph": is_uncommissioned}
     if baseline is not None:
-        data = baseline.apply_to(data)
+        # the poses may be those of the laser itself: a mount that has moved since then shows as a difference
+        site = baseline.prior(data.n_scans, data.ranges.size)
+        data = replace(data, laser_frame=False, site=site, memo={})
     return data, dict(notes)
 
 

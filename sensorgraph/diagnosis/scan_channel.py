@@ -121,15 +121,22 @@ def judge(
     null, final = explained.null, explained.final
     found = check(train, final, final.j - null.j, explained.gains, rng=rng, null=null, tick=tick)
     if baseline is not None:
-        found = baseline.discount(found, train)
+        found = _beyond_usual(found, baseline, train)
     elif not found.is_doubted:
         found = replace(found, told=doubt_of_scatter(final))
     listed = deviations(FitResiduals(train, null))[: SCAN.goodness_of_fit.max_listed]
     names = name_scan_effects(train, explained, found, listed)
     if not found.is_doubted and (told := told_by_tolerances(final, found)) is not None:
-        found = told if baseline is None else baseline.discount(told, train)
+        found = told if baseline is None else _beyond_usual(told, baseline, train)
         names = name_scan_effects(train, explained, found, listed)
     return found, names
+
+
+def _beyond_usual(found: GoodnessOfFit, baseline: SiteBaseline, train: ScanData) -> GoodnessOfFit:
+    """Remove unmodelled structure no larger than that of the known-good runs; keep only the excess misfit."""
+    beyond = found.misfit - baseline.usual_misfit(train.ranges.size)
+    told = None if found.told is None or beyond <= 0 else replace(found.told, misfit=beyond)
+    return replace(found, told=told)
 
 
 def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> bool:

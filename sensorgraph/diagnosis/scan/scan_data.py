@@ -19,8 +19,8 @@ from sensorgraph.diagnosis.engine.selection import occam_factor
 from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.intake import described_sensor, positive_tolerances, thinned_out, velocities
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.site_sizes import SitePrior
 from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble
+from sensorgraph.diagnosis.site_baseline import SitePrior
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
 from sensorgraph.effects.nuisance import POSE_LIKE

@@ -11,7 +11,7 @@ At a site with known-good runs, the parts of the path must agree on an effect of
 The clutter of a site is local: a wall that is missing in the map, a cabinet that was moved, a door. An effect of the sensor shows
 along the whole path. The run is therefore divided into parts in which the ends of beams move equally far, and a sign test checks
 whether they agree. Parameters of the whole sensor have a sharper test: their size must exceed the spread over windows of
-known-good runs (`site_sizes`), and counts with the precision with which parts of the run agree (jackknife).
+known-good runs (`site_baseline`), and counts with the precision with which parts of the run agree (jackknife).
 
 A model that fits badly puts its largest discs at walls, or into unobserved space. The evidence of such discs in known-good runs is
 added to the threshold of further discs. An object in known free space that stops the rays aimed at it is exempt.
