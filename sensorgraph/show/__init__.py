@@ -1,1 +1,1 @@
-"""Pictures and reviews: `figures` draws PNG pictures, `review` writes a file for rerun's viewer (*.rrd)."""
+"""Pictures, pages and reviews: `figures` draws PNG pictures, `page_shell` writes HTML, `review` a file for rerun (*.rrd)."""

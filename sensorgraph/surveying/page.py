@@ -7,8 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from sensorgraph.diagnosis.report.page_shell import page_shell
 from sensorgraph.diagnosis.report.quantities import percent
+from sensorgraph.show.page_shell import page_shell
 from sensorgraph.surveying.drawing import change_map, trend
 from sensorgraph.surveying.quantities import LABELS, quantities_of
 from sensorgraph.surveying.result import Fleet, RobotChange

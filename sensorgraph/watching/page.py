@@ -7,8 +7,8 @@ from html import escape
 
 import numpy as np
 
-from sensorgraph.diagnosis.report.page_shell import page_shell
 from sensorgraph.diagnosis.report.quantities import minus
+from sensorgraph.show.page_shell import page_shell
 from sensorgraph.types import Floats
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.summary import PageData, Span

@@ -12,12 +12,12 @@ from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import DecidedBy, Verdict
 from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.ledger import not_observable
-from sensorgraph.diagnosis.report.page_shell import without_breaks
 from sensorgraph.diagnosis.report.quantities import minus
 from sensorgraph.diagnosis.scan.nuisance import corners_of, prior_widths
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.show.page_shell import without_breaks
 from sensorgraph.world.robot import Tolerances
 
 OPEN = (DecidedBy.OBJECTION, DecidedBy.IMMATERIAL, DecidedBy.BEATEN)

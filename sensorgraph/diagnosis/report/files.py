@@ -26,7 +26,6 @@ from sensorgraph.diagnosis.report.comparison import ComparedScans, compare
 from sensorgraph.diagnosis.report.considered import considered_section
 from sensorgraph.diagnosis.report.data import UNITS, calibrations, effect_dict, plain, to_dict
 from sensorgraph.diagnosis.report.html import driving_section, page
-from sensorgraph.diagnosis.report.page_shell import page_shell, warnings
 from sensorgraph.diagnosis.report.quantities import (
     parameters,
     percent,
@@ -43,6 +42,7 @@ from sensorgraph.diagnosis.report.summary import summarise
 from sensorgraph.diagnosis.result import Gap
 from sensorgraph.effects import effects_file
 from sensorgraph.files import atomic_folder, write_timing
+from sensorgraph.show.page_shell import page_shell, warnings
 from sensorgraph.types import Progress
 from sensorgraph.version import __version__
 from sensorgraph.world.robot import Robot

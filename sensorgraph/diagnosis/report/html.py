@@ -14,7 +14,6 @@ from sensorgraph.diagnosis.finding import Finding
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, source_of
 from sensorgraph.diagnosis.report.considered import considered_section
 from sensorgraph.diagnosis.report.data import plain
-from sensorgraph.diagnosis.report.page_shell import page_shell, picture, warnings, without_breaks
 from sensorgraph.diagnosis.report.quantities import (
     deviation_text,
     minus,
@@ -26,6 +25,7 @@ from sensorgraph.diagnosis.report.quantities import (
 from sensorgraph.diagnosis.report.summary import main_channel, summarise, undecided_rivals
 from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.effects import Amendment
+from sensorgraph.show.page_shell import page_shell, picture, warnings, without_breaks
 
 CHANNELS = {
     "scan": "scan against map and pose",
