@@ -30,7 +30,7 @@ from benchmarks.arguments import existing, parser_of
 from benchmarks.hidden_effects.results import Case, load
 from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
 from sensorgraph.diagnosis.engine.verdict import Facts, Verdict
-from sensorgraph.diagnosis.scan.materiality import material_probability
+from sensorgraph.diagnosis.scan.consequence import material_probability
 from sensorgraph.effects import EFFECTS
 
 DUE_TO_UNKNOWN = ("absorbed_by_unknown", "part_of_unknown", "weaker_than_unknown")

@@ -12,9 +12,8 @@ import pytest
 from scan_samples import data_of, drive
 
 from planners.arena import Arena
-from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
+from sensorgraph.diagnosis.scan.consequence import ScanError, is_map_error, material_chance, scan_change
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.materiality import is_map_error, material_chance
 from sensorgraph.diagnosis.scan.naming import why_immaterial
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds

@@ -15,7 +15,7 @@ from planners.maps import no_go
 from planners.maps.no_go import without
 from planners.planning import WALL_MARGIN
 from sensorgraph.cli import COMMANDS
-from sensorgraph.diagnosis.scan.materiality import SURELY_MATERIAL
+from sensorgraph.diagnosis.scan.consequence import SURELY_MATERIAL
 from sensorgraph.effects.effects_file import loads
 from sensorgraph.loading import load_arena
 from sensorgraph.world.robot import default_robot

@@ -9,10 +9,9 @@ from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
 from sensorgraph.diagnosis.engine.verdict import Facts, Objection
 from sensorgraph.diagnosis.ledger import effect_entry
 from sensorgraph.diagnosis.report.quantities import minus
-from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
+from sensorgraph.diagnosis.scan.consequence import SURELY_MATERIAL, ScanError, scan_change
 from sensorgraph.diagnosis.scan.fit import Cast, cast, thin
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
-from sensorgraph.diagnosis.scan.materiality import SURELY_MATERIAL
 from sensorgraph.diagnosis.scan.model_selection import Explained, Step
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.scan_data import ScanData

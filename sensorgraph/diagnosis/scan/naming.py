@@ -18,14 +18,14 @@ from sensorgraph.diagnosis.result import (
     Withdrawn,
     without_close_calls,
 )
-from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
-from sensorgraph.diagnosis.scan.materiality import (
+from sensorgraph.diagnosis.scan.consequence import (
     SURELY_MATERIAL,
     is_map_error,
     material_chance,
     required_ratio,
 )
+from sensorgraph.diagnosis.scan.fit import Fitted
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit
 from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.observability import separation
 from sensorgraph.diagnosis.scan.scan_data import ScanData

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
+from sensorgraph.diagnosis.scan.consequence import ScanError, is_map_error, scan_change
 from sensorgraph.diagnosis.scan.fit import cast, log_p_at
-from sensorgraph.diagnosis.scan.materiality import is_map_error
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
 from sensorgraph.effects.effect import without
