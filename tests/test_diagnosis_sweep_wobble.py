@@ -12,14 +12,14 @@ from logs.run import Run
 from planners.arena import wrap
 from planners.types import Floats
 from sensorgraph.diagnosis.scan.fit import fit, start_state
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
-from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
-from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.sweep_wobble import (
+from sensorgraph.diagnosis.scan.intake import (
     estimated_wobble,
     references_in_sweep,
     share_within,
 )
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.world.raycast import cast_laser, laser_poses
 from sensorgraph.world.robot import parse_robot
 

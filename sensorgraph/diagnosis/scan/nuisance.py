@@ -17,9 +17,9 @@ import numpy as np
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE
+from sensorgraph.diagnosis.scan.intake import wobble_of_readings
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.sweep_wobble import wobble_of_readings
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.nuisance import Nuisance
 from sensorgraph.effects.places import obstacles

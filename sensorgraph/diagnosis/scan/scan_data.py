@@ -17,9 +17,14 @@ from planners.arena import Arena
 from planners.clearance import Barriers
 from sensorgraph.diagnosis.engine.selection import occam_factor
 from sensorgraph.diagnosis.scan.corner_sums import Corners
-from sensorgraph.diagnosis.scan.intake import described_sensor, positive_tolerances, thinned_out, velocities
+from sensorgraph.diagnosis.scan.intake import (
+    described_sensor,
+    estimated_wobble,
+    positive_tolerances,
+    thinned_out,
+    velocities,
+)
 from sensorgraph.diagnosis.scan.settings import SCAN
-from sensorgraph.diagnosis.scan.sweep_wobble import estimated_wobble
 from sensorgraph.diagnosis.site_baseline import SitePrior
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import Effect
