@@ -13,14 +13,13 @@ from scan_samples import data_of, drive
 from planners.arena import Arena
 from planners.types import Floats
 from sensorgraph.diagnosis.diagnose import diagnose
+from sensorgraph.diagnosis.scan.candidates import polish
 from sensorgraph.diagnosis.scan.deviations import dispersion
 from sensorgraph.diagnosis.scan.fit import Fitted, cast, fit, solver_for, start_state
-from sensorgraph.diagnosis.scan.goodness_of_fit import check
-from sensorgraph.diagnosis.scan.held_out_gap import held_out
+from sensorgraph.diagnosis.scan.goodness_of_fit import check, held_out
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, e_step, expected_readings
 from sensorgraph.diagnosis.scan.nuisance import BeamNoise, pose_prior
 from sensorgraph.diagnosis.scan.residuals import FitResiduals, replicate
-from sensorgraph.diagnosis.scan.rough_search import polish
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.score_test import smooth_candidates
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
@@ -345,7 +344,7 @@ def test_a_share_is_searched_between_none_and_all(quiet: ScanData) -> None:
     far, noise_bounds = (EFFECTS["random_outliers"](p=0.9),), NoiseBounds()
     state = start_state(quiet, noise_bounds)
     with np.errstate(invalid="raise"):
-        (found,) = polish(quiet, far, 0, state, noise_bounds, rounds=4, first=2.0)
+        (found,) = polish(quiet, far, state, noise_bounds, rounds=4, first=2.0)
     assert 0.0 < found["p"] < 0.9
 
 

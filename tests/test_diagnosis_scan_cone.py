@@ -10,12 +10,11 @@ from conftest import further
 from scan_samples import data_of
 
 from planners.arena import Arena
+from sensorgraph.diagnosis.scan.candidates import polish, proposed_candidates
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.model_selection import explain
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
-from sensorgraph.diagnosis.scan.rough_search import polish
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.shortlist import proposed_candidates
 from sensorgraph.effects import EFFECTS, sonar_cone
 from sensorgraph.world.robot import parse_robot
 
@@ -46,7 +45,7 @@ def test_a_search_goes_on_as_long_as_it_strides(hall: Arena, start: float) -> No
     data, noise_bounds = data_of(hall, (cone,)), NoiseBounds()
     far = (EFFECTS["sonar_cone"](gamma=0.12, alpha_max=start),)
     state = start_state(data, noise_bounds)
-    (found,) = polish(data, far, 0, state, noise_bounds, rounds=4, first=1.0)
+    (found,) = polish(data, far, state, noise_bounds, rounds=4, first=1.0)
     assert found["alpha_max"] == pytest.approx(0.98, abs=0.03)
     assert found["gamma"] == pytest.approx(0.12, abs=0.01)
 

@@ -9,12 +9,12 @@ from conftest import polygon_arena
 from test_diagnosis_scan import drive
 
 from sensorgraph.diagnosis.scan import model_selection
+from sensorgraph.diagnosis.scan.candidates import SearchMemory, name_at_place
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
 from sensorgraph.diagnosis.scan.model_selection import explain
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan.shortlist import SearchMemory, name_at_place
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import parse_robot
 

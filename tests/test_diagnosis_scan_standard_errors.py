@@ -11,9 +11,9 @@ from scipy.stats import norm
 from test_diagnosis_scan import drive
 
 from planners.arena import Arena
+from sensorgraph.diagnosis.scan.candidates import searched
 from sensorgraph.diagnosis.scan.consequence import material_probability
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
-from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
 from sensorgraph.diagnosis.scan.standard_errors import jagged_error, lattice_error, standard_errors

@@ -22,14 +22,13 @@ import numpy as np
 from logs.run import Run
 from planners.arena import Arena
 from sensorgraph.diagnosis.raster_map import raster_map_of, without_unknown_space
+from sensorgraph.diagnosis.scan.candidates import SearchMemory, searched, shortlist
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_fit, fit
 from sensorgraph.diagnosis.scan.goodness_of_fit import check
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
-from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.shortlist import SearchMemory, shortlist
 from sensorgraph.diagnosis.scan.worth import (
     must_be_spread,
     pose_tolerances,

@@ -27,7 +27,7 @@ from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import RoomExposure, open_questions
 from sensorgraph.diagnosis.raster_map import RasterMap, raster_map_of, without_unknown_space
 from sensorgraph.diagnosis.result import ChannelResult, shared_with, without_shared
-from sensorgraph.diagnosis.scan.held_out_gap import held_out
+from sensorgraph.diagnosis.scan.goodness_of_fit import held_out
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out, freed_of_scans
 from sensorgraph.diagnosis.scan.map_alignment import Alignment, align, misalignment
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans

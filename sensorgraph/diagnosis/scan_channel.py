@@ -14,8 +14,7 @@ from sensorgraph.diagnosis.motion.wheel_structure import BENT_REFERENCE
 from sensorgraph.diagnosis.result import ChannelResult, Gap, shared_with
 from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
-from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, told_by_tolerances
-from sensorgraph.diagnosis.scan.held_out_gap import held_out_gap
+from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, check, held_out_gap, told_by_tolerances
 from sensorgraph.diagnosis.scan.model_selection import Explained, explain
 from sensorgraph.diagnosis.scan.naming import ScanNames, name_scan_effects
 from sensorgraph.diagnosis.scan.observability import (

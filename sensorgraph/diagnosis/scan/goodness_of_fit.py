@@ -1,4 +1,7 @@
-"""Goodness of fit: what a model leaves unexplained, by the differences without a name of `scan.unnamed`."""
+"""How well a model fits: what it leaves unexplained, by the differences without a name of `scan.unnamed`, and the gap.
+
+The gap between simulator and measurement is that on scans that are excluded from every fit and choice.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.cast_place import as_cast
+from sensorgraph.diagnosis.result import FitQuality, Gap
+from sensorgraph.diagnosis.scan.cast_place import as_cast, as_pose_errors, pose_like
 from sensorgraph.diagnosis.scan.consequence import likely_causes
-from sensorgraph.diagnosis.scan.fit import Fitted
-from sensorgraph.diagnosis.scan.residuals import FitResiduals
+from sensorgraph.diagnosis.scan.fit import Fitted, solver_of_nuisances
+from sensorgraph.diagnosis.scan.likelihood import Responsibilities
+from sensorgraph.diagnosis.scan.nuisance import BeamNoise, State
+from sensorgraph.diagnosis.scan.residuals import FitResiduals, drawn_scans, with_poses_of_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed import UNNAMED
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, sure
 from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import beyond_tolerances
-from sensorgraph.types import Progress
+from sensorgraph.effects import Amendment
+from sensorgraph.types import Bools, Floats, Progress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,3 +125,112 @@ def _told(first: Doubt, doubts: Sequence[Doubt], rest: GoodnessOfFit) -> Goodnes
         failed=frozenset[int]().union(*(d.failed for d in doubts)),
     )
     return replace(rest, told=told)
+
+
+# held-out scans -------------------------------------------------------------------------------------------------------
+
+
+def held_out(data: ScanData) -> Bools:
+    """Return which scans (n_scans,) are excluded from every fit and choice: one block of a second in eight."""
+    every = SCAN.held_out_every
+    block = np.floor((data.stamps - data.begin) / SCAN.block).astype(np.intp)
+    held = block % every == every // 2
+    if not held.any() or held.all():
+        held = np.arange(data.n_scans) % every == every // 2
+    return np.asarray(held)
+
+
+class _HeldOutFit:
+    """A model on the held-out scans: poses are fitted to every other ray, and the likelihood is computed on the others."""
+
+    def __init__(self, data: ScanData, model: Sequence[Amendment], fitted: Fitted, noise: BeamNoise) -> None:
+        data = as_cast(data, fitted.state, same_scans=False)
+        if data.posed is not None:  # the likely poses include the mount and delay of the model
+            data = data.posed_by(data.posed - as_pose_errors(data, pose_like(model)))
+        self.solver, at = solver_of_nuisances(data, model)
+        self.begin, self.expected, self.steep = data.pose_start, at.expected, at.jacobian.steep
+        self.fitted, self.noise = fitted, noise
+
+    def e_step(self, data: ScanData, begin: Floats | None = None) -> tuple[Responsibilities, Floats]:
+        """Return responsibilities and expected readings (n_scans, n_rays) [m], with poses fitted to the even rays.
+
+        Parameters
+        ----------
+        begin : (n_scans, 3) Initial pose errors; by default those of the casts.
+        """
+        solver = self.solver.with_readings(data)
+        state = State(
+            g=np.where(solver.locked, 0.0, self.fitted.state.g),
+            delta=self.begin if begin is None else begin,
+            noise=self.noise,
+            pose_scale=self.fitted.state.pose_scale,
+            map_scale=self.fitted.state.map_scale,
+        )
+        responsibilities, shift = with_poses_of_rays(solver, state, np.arange(data.n_rays) % 2 == 0)
+        return responsibilities, self.expected.reading + shift
+
+
+def held_out_gap(
+    data: ScanData,
+    null: Fitted,
+    final: Fitted,
+    named: Sequence[Amendment],
+    *,
+    shared: Sequence[Amendment] = (),
+    rng: np.random.Generator,
+) -> Gap:
+    """Measure the gap before and after on held-out scans, and the noise floor of a perfect model.
+
+    "Before" is the nominal simulator with the shared effects; "after" includes the named effects. Both include the small setup corrections (map,
+    mount, clocks within tolerance) of the final fit, so that they differ only in the effects.
+
+    The pose error of each scan is estimated on its even rays, and the gap is measured on the odd ones. The RMS excludes
+    outliers of the amended model, rays next to an edge in depth, and rays at grazing incidence. The log-likelihood
+    includes all readings.
+
+    Parameters
+    ----------
+    null, final : Fits without effects and of the accepted model, to the other scans.
+    named : Effects of the amended simulator.
+    shared : Those of them that a simulator shows already.
+    """
+    before = _HeldOutFit(data, shared, final, (final if shared else null).state.noise)
+    after = _HeldOutFit(data, named, final, final.state.noise if named else null.state.noise)
+    judged_before, mu_before = before.e_step(data)
+    judged_after, mu_after = after.e_step(data)
+    odd = np.zeros(mu_after.shape, dtype=np.bool_)
+    odd[:, 1::2] = True
+    odd &= ~np.isnan(data.ranges)
+    sigma = data.sensor.sigma
+    edge, stray = SCAN.likelihood.min_edge_chance, 0.5
+    seen = odd & (after.expected.p_alternative < edge) & (before.expected.p_alternative < edge)
+    seen &= judged_after.stray <= stray
+    seen &= (after.steep < sigma) & (before.steep < sigma)
+
+    floors = []
+    for _ in range(SCAN.goodness_of_fit.n_slow_replicates):
+        drawn, errors = drawn_scans(data, after.solver, final.state, np.zeros(0), rng)
+        # as for the measured scans, start at the likely poses
+        responsibilities, mu = after.e_step(drawn, None if data.posed is None else errors)
+        clear = seen & (responsibilities.stray <= stray)
+        floors.append(_fit(drawn, mu, responsibilities, clear, odd, sigma))
+    mean = {key: float(np.mean([vars(f)[key] for f in floors])) for key in vars(floors[0])}
+    return Gap(
+        before=_fit(data, mu_before, judged_before, seen, odd, sigma),
+        after=_fit(data, mu_after, judged_after, seen, odd, sigma),
+        noise_floor=FitQuality(**mean),
+        n_rays=int(odd.sum()),
+    )
+
+
+def _fit(
+    data: ScanData, mu: Floats, responsibilities: Responsibilities, seen: Bools, odd: Bools, sigma: float
+) -> FitQuality:
+    ok = seen & data.returned & np.isfinite(mu)
+    e = data.ranges[ok] - mu[ok]
+    rmse = float(np.sqrt(np.mean(e**2))) if len(e) else 0.0
+    return FitQuality(
+        rmse_m=rmse,
+        normalised=rmse / sigma if sigma else 0.0,
+        nats_per_ray=float(-responsibilities.log_p[odd].mean()),
+    )

@@ -13,13 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sensorgraph.diagnosis.engine.selection import select
+from sensorgraph.diagnosis.scan.candidates import SearchMemory, least_gain, name_at_place, searched, shortlist
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_cast, bare_fit, fit, thin, thin_state
 from sensorgraph.diagnosis.scan.nuisance import State
-from sensorgraph.diagnosis.scan.rough_search import searched
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.shortlist import SearchMemory, least_gain, name_at_place, shortlist
 from sensorgraph.diagnosis.scan.standard_errors import standard_errors
 from sensorgraph.diagnosis.scan.worth import evidence, price, surely_stands, worth
 from sensorgraph.effects import Amendment

@@ -1,7 +1,8 @@
-"""The candidates of a round, from the score test and the proposals of effects, and what the search remembers of earlier rounds.
+"""The candidates of a round, from the score test and the proposals of effects; their search; the memory of earlier rounds.
 
 An effect evaluates the residuals where it would show (`Diagnostics.propose`), or lists values to be cast
-(`Diagnostics.sweep`). `model_selection` fits and compares the candidates.
+(`Diagnostics.sweep`). `model_selection` fits and compares the candidates. Readings do not depend smoothly on the rough parameters of
+an effect, which are therefore searched along the likelihood.
 
 The gain of an effect rarely grows as other effects enter the model, because they explain readings that it would explain.
 The gain of an earlier round therefore bounds the present one, and a candidate whose bound is far below the best gain of a
@@ -16,11 +17,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from sensorgraph.diagnosis.scan.fit import Fitted, log_likelihood, start_state, thin
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from sensorgraph.diagnosis.scan.fit import Fitted, fit, log_likelihood, start_state, thin
+from sensorgraph.diagnosis.scan.nuisance import State
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.score_test import Candidate, smooth_candidates
-from sensorgraph.diagnosis.scan.settings import SCAN
+from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.worth import surely_stands
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 from sensorgraph.effects.map_scale import MAP_SCALE
@@ -193,14 +198,6 @@ def name_at_place(amendment: Amendment) -> str:
     return f"{amendment.name}@{amendment.place}"
 
 
-@dataclass(frozen=True)
-class EarlierFit:
-    """The gain [nats] that the best start of an effect had, and the largest that was expected of its starts."""
-
-    gain: float = -math.inf
-    expected: float = -math.inf
-
-
 @dataclass(eq=False)
 class SearchMemory:
     """Candidates of the rounds so far."""
@@ -217,8 +214,9 @@ class SearchMemory:
     """Whether the present round may pass candidates by."""
     has_passed: bool = False
     """Whether it has passed any by."""
-    _fits: dict[str, EarlierFit] = field(default_factory=dict)
-    _this_round: dict[str, EarlierFit] = field(default_factory=dict)
+    _fits: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Effect at its place -> gain [nats] of its best start, and the largest that was expected of its starts."""
+    _this_round: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def note_expected(self, candidates: Sequence[Candidate], *, is_bare: bool) -> None:
         """Store the best start of each effect, and which starts have the gain that was expected in the bare model."""
@@ -248,18 +246,103 @@ class SearchMemory:
     def note(self, candidate: Candidate, gain: float) -> None:
         """Store the gain [nats] of a fit in this round; of several starts of an effect at a place, the largest counts."""
         key = name_at_place(candidate.amendment)
-        known = self._this_round.get(key, EarlierFit())
-        self._this_round[key] = EarlierFit(
-            gain=max(known.gain, gain), expected=max(known.expected, candidate.gain)
-        )
+        most, expected = self._this_round.get(key, (-math.inf, -math.inf))
+        self._this_round[key] = max(most, gain), max(expected, candidate.gain)
 
     def bound(self, candidate: Candidate) -> float:
         """Return the gain [nats] that a candidate had at its last fit; inf without a fit, or if more is expected now."""
-        known = self._fits.get(name_at_place(candidate.amendment))
-        if known is None or candidate.gain > known.expected / SCAN.selection.same_gain:
-            return math.inf
-        return known.gain
+        gain, expected = self._fits.get(name_at_place(candidate.amendment), (math.inf, math.inf))
+        return math.inf if candidate.gain > expected / SCAN.selection.same_gain else gain
 
     def most_promising_first(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the candidates in the order in which they are fitted."""
         return sorted(candidates, key=lambda c: -self.bound(c)) if self.is_lazy else list(candidates)
+
+
+# rough parameters -----------------------------------------------------------------------------------------------------
+
+
+def searched(
+    data: ScanData, got: Fitted, noise_bounds: NoiseBounds, *, rounds: int, first: float, turns: int
+) -> Fitted:
+    """Search the rough parameters of the last effect, then fit again."""
+    for _ in range(turns):
+        polished = polish(data, got.model, got.state, noise_bounds, rounds=rounds, first=first)
+        better = fit(data, polished, got.state, noise_bounds)
+        gained = better.j - got.j
+        if gained > 0:
+            got = better
+        if gained < 2:
+            break
+    return got
+
+
+def polish(
+    data: ScanData,
+    model: tuple[Amendment, ...],
+    state: State,
+    noise_bounds: NoiseBounds,
+    *,
+    rounds: int,
+    first: float,
+) -> tuple[Amendment, ...]:
+    """Improve the rough parameters of the last effect, with fixed nuisances.
+
+    An effect that widens or mixes the readings has one parameter and is correlated with the noise, so the noise is
+    estimated again at every value. The parameters of other effects are improved one after another by a pattern search.
+
+    Parameters
+    ----------
+    rounds : Number of rounds over all parameters; more are made while a step still grows.
+    first : Scale of the first steps.
+    """
+    *others, best = model
+    usual = best.search_steps
+    steps = {k: first * step for k, step in usual.items()}
+    if not steps:
+        return model
+    if best.effect.absorber:
+        return _peaked(data, model, state, noise_bounds, factor=1 + 2 * first)
+    most = log_likelihood(data, model, state)
+    for turn in range(SCAN.fit.max_strides):
+        if turn >= rounds and all(s <= first * usual[k] for k, s in steps.items()):
+            break
+        moved = False
+        for name in steps:
+            for sign in (1.0, -1.0):
+                trial = best.moved_within_bounds({name: best[name] + sign * steps[name]})
+                got = log_likelihood(data, (*others, trial), state)
+                if got > most + 1e-6:
+                    most, best, moved = got, trial, True
+                    steps[name] *= 1.5
+                    break
+            else:
+                steps[name] *= 0.4
+        if not moved and all(s < SCAN.fit.settled_step * usual[k] for k, s in steps.items()):
+            break
+    return (*others, best)
+
+
+def _peaked(
+    data: ScanData,
+    model: tuple[Amendment, ...],
+    state: State,
+    noise_bounds: NoiseBounds,
+    *,
+    factor: float,
+) -> tuple[Amendment, ...]:
+    """Move the single rough parameter of the last effect to its most likely value, by a factor of at most `factor`."""
+    *others, start = model
+    (name,) = start.search_steps
+
+    def at(u: float) -> tuple[Amendment, ...]:
+        return (*others, start.moved_within_bounds({name: start[name] * float(np.exp(u))}))
+
+    reach = float(np.log(factor))
+    found = minimize_scalar(
+        lambda u: -log_likelihood(data, at(u), state, noise_bounds),
+        bounds=(-reach, reach),
+        method="bounded",
+        options={"xatol": SCAN.fit.profile_tolerance},
+    )
+    return at(float(found.x))
