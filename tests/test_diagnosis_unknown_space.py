@@ -10,7 +10,7 @@ import shapely
 
 from logs.run import Run
 from planners.arena import Arena
-from sensorgraph.diagnosis.raster_map import without_unknown_space
+from sensorgraph.diagnosis.map_changes import without_unknown_space
 from sensorgraph.diagnosis.scan.fit import fit, start_state
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans

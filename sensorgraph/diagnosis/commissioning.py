@@ -21,7 +21,8 @@ import numpy as np
 
 from logs.run import Run
 from planners.arena import Arena
-from sensorgraph.diagnosis.raster_map import raster_map_of, without_unknown_space
+from sensorgraph.diagnosis.map_changes import without_unknown_space
+from sensorgraph.diagnosis.raster_map import raster_map_of
 from sensorgraph.diagnosis.scan.candidates import SearchMemory, searched, shortlist
 from sensorgraph.diagnosis.scan.fit import Fitted, bare_fit, fit
 from sensorgraph.diagnosis.scan.goodness_of_fit import check

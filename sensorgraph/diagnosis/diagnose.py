@@ -14,6 +14,7 @@ from logs.run import Run, pair
 from planners.arena import Arena
 from planners.errors import PlanError
 from sensorgraph.diagnosis.finding import Finding, misaligned
+from sensorgraph.diagnosis.map_changes import without_unknown_space
 from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, diagnose_driving
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.naming import (
@@ -25,7 +26,7 @@ from sensorgraph.diagnosis.motion.naming import (
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
 from sensorgraph.diagnosis.next_run.questions import RoomExposure, open_questions
-from sensorgraph.diagnosis.raster_map import RasterMap, raster_map_of, without_unknown_space
+from sensorgraph.diagnosis.raster_map import RasterMap, raster_map_of
 from sensorgraph.diagnosis.result import ChannelResult, shared_with, without_shared
 from sensorgraph.diagnosis.scan.goodness_of_fit import held_out
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, fitted_and_held_out, freed_of_scans
