@@ -13,9 +13,9 @@ from logs.run import Run
 from planners.arena import Arena, wrap
 from sensorgraph.diagnosis.diagnose import diagnose
 from sensorgraph.diagnosis.scan.candidates import proposed_candidates
-from sensorgraph.diagnosis.scan.cast_place import as_pose_errors, errors_of_laser
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.likely_poses import at_likely_poses, is_reference_wide
+from sensorgraph.diagnosis.scan.nuisance import as_pose_errors, errors_of_laser
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData, prepare_scans
 from sensorgraph.diagnosis.scan.settings import SCAN

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scan_samples import drive, hall_arena
 
-from sensorgraph.diagnosis.scan.nuisance import bent_columns
+from sensorgraph.diagnosis.scan.jacobian import bent_columns
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.effects import EFFECTS
 from sensorgraph.world.robot import parse_robot

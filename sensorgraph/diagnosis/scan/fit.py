@@ -7,13 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.cast_place import (
-    as_cast,
-    as_pose_errors,
-    for_model,
-    is_cast_at,
-    pose_like,
-)
 from sensorgraph.diagnosis.scan.corner_sums import Corners
 from sensorgraph.diagnosis.scan.depth_edges import Edges, find_edges
 from sensorgraph.diagnosis.scan.gauss_newton import (
@@ -21,13 +14,22 @@ from sensorgraph.diagnosis.scan.gauss_newton import (
     Solver,
     iterate,
 )
+from sensorgraph.diagnosis.scan.jacobian import Jacobian, bent_columns, linearise
 from sensorgraph.diagnosis.scan.likelihood import (
     ExpectedReadings,
     e_step,
     expected_readings,
     fitted_noise,
 )
-from sensorgraph.diagnosis.scan.nuisance import Jacobian, State, bent_columns, corners_of, linearise
+from sensorgraph.diagnosis.scan.nuisance import (
+    State,
+    as_cast,
+    as_pose_errors,
+    corners_of,
+    for_model,
+    is_cast_at,
+    pose_like,
+)
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import Amendment

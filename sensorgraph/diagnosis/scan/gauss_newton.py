@@ -24,6 +24,7 @@ from scipy.linalg.lapack import dtrtri
 from scipy.special import chdtri, ndtr
 
 from sensorgraph.diagnosis.scan.corner_sums import Corners, corner_sums
+from sensorgraph.diagnosis.scan.jacobian import Jacobian
 from sensorgraph.diagnosis.scan.likelihood import ExpectedReadings, Responsibilities, e_step, fitted_noise
 from sensorgraph.diagnosis.scan.normal_equations import (
     BoundedOptimum,
@@ -33,7 +34,6 @@ from sensorgraph.diagnosis.scan.normal_equations import (
     without_poses,
 )
 from sensorgraph.diagnosis.scan.nuisance import (
-    Jacobian,
     State,
     pose_prior,
     prior_widths,

@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sensorgraph.diagnosis.result import FitQuality, Gap
-from sensorgraph.diagnosis.scan.cast_place import as_cast, as_pose_errors, pose_like
 from sensorgraph.diagnosis.scan.consequence import likely_causes
 from sensorgraph.diagnosis.scan.fit import Fitted, solver_of_nuisances
 from sensorgraph.diagnosis.scan.likelihood import Responsibilities
-from sensorgraph.diagnosis.scan.nuisance import BeamNoise, State
+from sensorgraph.diagnosis.scan.nuisance import BeamNoise, State, as_cast, as_pose_errors, pose_like
 from sensorgraph.diagnosis.scan.residuals import FitResiduals, drawn_scans, with_poses_of_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN

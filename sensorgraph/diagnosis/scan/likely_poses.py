@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from planners.arena import wrap
-from sensorgraph.diagnosis.scan.cast_place import as_pose_errors, errors_of_laser
 from sensorgraph.diagnosis.scan.fit import bare_fit
+from sensorgraph.diagnosis.scan.nuisance import as_pose_errors, errors_of_laser
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects.nuisance import POSE_LIKE

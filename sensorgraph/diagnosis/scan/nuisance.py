@@ -4,30 +4,30 @@ Every tolerance is a Gaussian parameter with bounds: g ~ N(0, tau²) and |g| <= 
 effects visible; with the prior alone, the data could absorb them. The unknowns g are one value for each `Nuisance`, then
 x and y of each corner of the map.
 
-A surface, an edge or a tilt bends a ray. The derivatives of such rays by the pose come from additional casts.
+To first order, map and pose errors only shift a reading. However, they also move outlines, and a ray may then meet another wall. Two
+cases need a better place for the cast: a wall within a cell of an occupancy-grid map, and a reference whose error exceeds the noise of
+a reading. In these cases, casts are made at the most likely walls and poses. The errors are still counted from the map and the
+reference poses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from planners.arena import Arena
 from sensorgraph.diagnosis.scan.corner_sums import Corners
-from sensorgraph.diagnosis.scan.depth_edges import MIN_SHORT_RANGE
-from sensorgraph.diagnosis.scan.intake import wobble_of_readings
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.effects import EFFECTS, Amendment, Effect
-from sensorgraph.effects.nuisance import Nuisance
+from sensorgraph.effects.nuisance import MOUNT, POSE_LIKE, Nuisance
 from sensorgraph.effects.places import obstacles
 from sensorgraph.effects.range_bias import RANGE_BIAS
 from sensorgraph.effects.range_drift import RANGE_DRIFT
 from sensorgraph.effects.range_scale import RANGE_SCALE
-from sensorgraph.types import Bools, Floats, Ints
-from sensorgraph.world.beams import Beams
+from sensorgraph.types import Floats
 from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.nuisance
@@ -75,174 +75,6 @@ def _of_arena(arena: Arena) -> Corners:
     index = {name: k for k, name in enumerate(obstacles(arena))}
     of_walls = [index.get(name.rsplit("/", 1)[0], len(index)) for name in arena.names]
     return Corners.of(arena.walls).of_obstacles(np.array(of_walls, dtype=np.intp), len(index))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Jacobian:
-    """First-order derivatives of the readings of one cast by poses, nuisances and wall ends."""
-
-    pose: Floats
-    """(n_scans, 3, n_rays) derivatives by x, y, phi of the scan's pose."""
-    nuisances: Floats
-    """(n_scans, 8, n_rays) derivatives by each Nuisance."""
-    ends: Floats
-    """(2, n_scans, n_rays) derivatives by a shift of the first and second end of the wall along the ray's normal."""
-    wall: Ints
-    """(n_scans, n_rays) wall index; 0 without a wall (then `ends` is 0)."""
-    nx: Floats
-    """(n_scans, n_rays) normal of the wall."""
-    ny: Floats
-    valid: Bools
-    """(n_scans, n_rays) whether the derivatives are valid; elsewhere they are 0."""
-    steep: Floats
-    """(n_scans, n_rays) [m] additional standard deviation of rays at grazing incidence or on walls with fixed corners."""
-
-
-def linearise(
-    data: ScanData,
-    beams: Beams,
-    walls: Floats,
-    mount: Floats,
-    bent: tuple[Bools, Floats, Floats] | None = None,
-) -> Jacobian:
-    """Differentiate the readings of one cast.
-
-    A straight ray has the length r and the direction u. It meets a wall with the normal n at the incidence a.
-
-        dr/dx = n_x / cos a,    dr/dy = n_y / cos a,
-        dr/dphi = r (n_y u_x - n_x u_y) / cos a + l_x dr/dy - l_y dr/dx.
-
-    Here l is the lever arm from base_link to the laser.
-
-    Parameters
-    ----------
-    bent : Which rays (n_scans, n_rays) are bent, their columns by the pose (n_scans, 3, n_rays) from difference
-        quotients, and the slope (n_scans, n_rays) [m/rad] by phi.
-    """
-    cosine, nx, ny = _facing(beams)
-    hit = np.isfinite(beams.ranges) & np.isfinite(beams.reading)
-    straight = hit if beams.straight is None else hit & beams.straight
-    valid = straight & (cosine > SETTINGS.min_cosine)
-    slope = np.where(valid, beams.slope, 0.0)
-    safe = np.where(valid, cosine, 1.0)
-    r = np.where(valid, beams.ranges, 0.0)
-    inverse = slope / safe
-    dx, dy = nx * inverse, ny * inverse
-    turn = r * (ny * beams.ux - nx * beams.uy) * inverse
-    phi = data.poses[:, 2]
-    c, s = np.cos(phi)[:, None], np.sin(phi)[:, None]
-    lx, ly = c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]
-    if data.sensor.is_composite:  # each ray turns about the mount, which turns about base_link
-        ox, oy = beams.ox - data.poses[:, :1] - lx, beams.oy - data.poses[:, 1:2] - ly
-        turn = turn + ox * dy - oy * dx
-    pose = np.stack([dx, dy, turn + lx * dy - ly * dx], axis=1)
-    on = valid & (beams.wall >= 0)
-    slack = np.zeros(cosine.shape)
-    if bent is not None:
-        which, quotients, steepness = bent
-        pose = np.where(which[:, None, :], quotients, pose)
-        dx, dy = pose[:, 0], pose[:, 1]
-        turn = np.where(which, pose[:, 2] - lx * dy + ly * dx, turn)
-        r = np.where(which, beams.reading, r)
-        slope = np.where(which, np.where(np.abs(dx) + np.abs(dy) > 0, 1.0, 0.0), slope)
-        slack = steepness * _turn_of_surfaces(data, beams, which)
-        valid = valid | which
-    wall = np.where(on, beams.wall, 0)
-    share = _share(beams, walls, wall)
-    ends = np.stack([-(1 - share) * inverse * on, -share * inverse * on])
-    steep = np.where(straight & ~valid, _grazing_sigma(beams, cosine), 0.0)
-    steep = np.minimum(np.where(slack > 0, slack, steep), data.max_scatter)
-    beside = wobble_of_readings(data.wobble, pose), _by_corners_that_stay(data, wall, ends)
-    return Jacobian(
-        pose=pose,
-        nuisances=_nuisance_columns(data, pose, turn, r * slope, valid),
-        ends=ends,
-        wall=wall,
-        nx=nx,
-        ny=ny,
-        valid=valid,
-        steep=np.hypot.reduce([steep, *beside]),
-    )
-
-
-def _turn_of_surfaces(data: ScanData, beams: Beams, has_columns: Bools) -> Floats:
-    """Return the standard deviation (n_scans, n_rays) [rad] of the direction in which a bent ray meets its surface.
-
-    The pose error is a part of it unless the ray has columns by the pose.
-    """
-    t = data.tolerances
-    near = np.maximum(np.where(np.isfinite(beams.ranges), beams.ranges, 1.0), MIN_SHORT_RANGE)
-    off = t.map / near + 0.5 * t.mount_yaw
-    return np.where(has_columns, off, np.hypot(off, t.pose_yaw + t.pose_xy / near))
-
-
-def _grazing_sigma(beams: Beams, cosine: Floats) -> Floats:
-    """Return the additional standard deviation (n_scans, n_rays) [m] of rays at grazing incidence."""
-    constant, share_of_range = SETTINGS.grazing_sigma
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray((constant + share_of_range * beams.ranges) / np.abs(cosine))
-
-
-def _nuisance_columns(data: ScanData, pose: Floats, turn: Floats, lengths: Floats, valid: Bools) -> Floats:
-    """Return the derivatives by each Nuisance (n_scans, 8, n_rays).
-
-    Parameters
-    ----------
-    pose, turn : Derivatives by the pose (n_scans, 3, n_rays), and by a turn of the laser about itself (n_scans, n_rays).
-    lengths : (n_scans, n_rays) [m] Derivative by the scale of the ranges.
-    """
-    c, s = np.cos(data.poses[:, 2:]), np.sin(data.poses[:, 2:])
-    dx, dy = pose[:, 0], pose[:, 1]
-    carried = np.einsum("nkm,nk->nm", pose, data.twists)
-    out = np.empty((data.n_scans, len(Nuisance), data.n_rays))
-    out[:, Nuisance.MOUNT_X] = c * dx + s * dy
-    out[:, Nuisance.MOUNT_Y] = c * dy - s * dx
-    out[:, Nuisance.MOUNT_YAW] = turn
-    out[:, Nuisance.BIAS] = valid
-    out[:, Nuisance.SCALE] = lengths
-    out[:, Nuisance.DRIFT] = valid * ((data.stamps - data.begin) / data.span)[:, None]
-    out[:, Nuisance.DELAY] = -carried
-    out[:, Nuisance.SKEW] = carried * data.sensor.sweep_share
-    return out
-
-
-def _by_corners_that_stay(data: ScanData, wall: Ints, ends: Floats) -> Floats:
-    """Return the additional standard deviation [m] of readings on walls with fixed corners.
-
-    Their map errors are not among the unknowns.
-
-    Parameters
-    ----------
-    ends : (2, n_scans, n_rays) Derivatives of the readings by shifts of the ends of their walls, along the normal.
-    """
-    if data.corners is None or data.corners.rest < 0:
-        return np.zeros(wall.shape)
-    stays = data.corners.ends == data.corners.rest
-    off = np.hypot(*(ends[k] * stays[:, k][wall] for k in (0, 1)))
-    return np.asarray(data.tolerances.map * off)
-
-
-def _facing(beams: Beams) -> tuple[Floats, Floats, Floats]:
-    """Return the cosine of the incidence and the normal (n_scans, n_rays) for the derivatives by the pose.
-
-    A cone reads the nearest surface within it. Its reading changes only along the ray, as at a wall that faces the sensor.
-    """
-    if beams.within is None:
-        return beams.cosine, beams.nx, beams.ny
-    nx, ny = np.where(beams.within, -beams.ux, beams.nx), np.where(beams.within, -beams.uy, beams.ny)
-    return np.where(beams.within, 1.0, beams.cosine), nx, ny
-
-
-def _share(beams: Beams, walls: Floats, wall: Ints) -> Floats:
-    """Return the position along its wall at which each ray hits: 0 at the first end, 1 at the second."""
-    if len(walls) == 0:
-        return np.zeros(wall.shape)
-    a, d = walls[:, 0], walls[:, 1] - walls[:, 0]
-    size = np.maximum((d**2).sum(axis=1), 1e-12)
-    ax, ay, fx, fy = a[:, 0][wall], a[:, 1][wall], (d[:, 0] / size)[wall], (d[:, 1] / size)[wall]
-    r = np.where(np.isfinite(beams.ranges), beams.ranges, 0.0)
-    share = (beams.ox + r * beams.ux - ax) * fx + (beams.oy + r * beams.uy - ay) * fy
-    return np.asarray(np.clip(share, 0.0, 1.0))
 
 
 @dataclass(eq=False)
@@ -313,45 +145,72 @@ def pose_prior(data: ScanData, scale: float) -> Floats:
     return scale**2 * (own + t.stamp**2 * u[:, :, None] * u[:, None, :])
 
 
-def bent_columns(
-    data: ScanData, model: Sequence[Amendment], beams: Beams
-) -> tuple[Bools, Floats, Floats] | None:
-    """Differentiate bent rays by the pose, with difference quotients of additional casts.
+# place of the casts ---------------------------------------------------------------------------------------------------
 
-    Returns
-    -------
-    Which rays have columns (n_scans, n_rays), and the columns (n_scans, 3, n_rays). Then |d reading / d phi|
-    (n_scans, n_rays) [m/rad] of all bent rays, including those where it is a jump. None without bent rays.
+
+def as_cast(data: ScanData, state: State, *, same_scans: bool = True) -> ScanData:
+    """Return data with the walls and poses of the cast of a state, or with its current ones if it has no cast.
+
+    Parameters
+    ----------
+    same_scans : Whether the state belongs to these scans; otherwise their poses are kept.
     """
-    if beams.straight is None:
-        return None
-    which = ~beams.straight & np.isfinite(beams.reading)
-    rows = np.flatnonzero(which.any(axis=1))
-    if len(rows) == 0:
-        return None
-    few = data.subset(rows)
-    quotients = np.zeros((data.n_scans, 3, data.n_rays))
-    smooth = which.copy()
-    steepness = np.zeros(which.shape)
-    steepest = (
-        np.array([1.0, 1.0, data.sensor.range_max]) / SETTINGS.min_cosine
-    )  # of a ray that is no grazing one
-    for axis, step in enumerate(SCAN.fit.pose_steps):
-        scene = few.scene()
-        scene.casts, scene.wanted = None, which[rows]
-        scene.motion = _nudged(few, axis, step)
-        moved = scene.run((*data.known, *model)).reading
-        with np.errstate(invalid="ignore"):
-            q = (moved - beams.reading[rows]) / step
-        ok = np.isfinite(q) & (np.abs(q) < steepest[axis])
-        if axis == 2:
-            steepness[rows] = np.where(np.isfinite(q), np.abs(q), steepest[axis])
-        smooth[rows] &= ok
-        quotients[rows, axis] = np.where(ok, q, 0.0)
-    return smooth, np.where(smooth[:, None, :], quotients, 0.0), np.where(which, steepness, 0.0)
+    laid = data.laid_by(state.corners if state.laid is None else state.laid)
+    if data.posed is None or not same_scans:
+        return laid
+    return laid.posed_by(errors_of_laser(data, state) if state.posed is None else state.posed)
 
 
-def _nudged(data: ScanData, axis: int, step: float) -> Callable[[Floats], Floats]:
-    offset = np.zeros(3)
-    offset[axis] = step
-    return lambda times: data.motion(times) + offset
+def is_cast_at(data: ScanData, state: State) -> bool:
+    """Return whether data is cast at the walls and poses of a state, within a small fraction of the tolerances."""
+    if not data.is_laid_by(state.corners):
+        return False
+    if data.posed is None:
+        return True
+    t = data.tolerances
+    off = np.abs(errors_of_laser(data, state) - data.posed) / [t.pose_xy, t.pose_xy, t.pose_yaw]
+    return bool(off.max() <= SCAN.fit.settled_step)
+
+
+def for_model(data: ScanData, state: State, model: Sequence[Amendment]) -> State:
+    """Return the start state for the fit of another model, with the laser of each scan at the same place.
+
+    The pose errors compensate each change of mount and delay in the model, because the poses have absorbed such an effect before
+    it is in the model. Otherwise it would count twice at the start, and most readings would look like outliers.
+    """
+    values = pose_like(model)
+    if (values == state.effects).all():
+        return state
+    off = as_pose_errors(data, state.effects - values)
+    posed = None if state.posed is None else state.posed + off
+    return replace(state, effects=values, delta=state.delta + off, posed=posed)
+
+
+def pose_like(model: Sequence[Amendment]) -> Floats:
+    """Return mount and delay of the whole laser in a model, (4,) [m, m, rad, s], in the order of `nuisance.POSE_LIKE`."""
+    out = np.zeros(len(POSE_LIKE))
+    for amendment in (a for a in model if not a.place):
+        for parameter in amendment.effect.parameters:
+            if parameter.nuisance in POSE_LIKE:
+                out[POSE_LIKE.index(parameter.nuisance)] += amendment[parameter.name]
+    return out
+
+
+def errors_of_laser(data: ScanData, state: State) -> Floats:
+    """Return the pose errors (n_scans, 3) [m, m, rad] of the laser in a state, including its mount error."""
+    return state.delta + as_pose_errors(data, np.append(state.g[list(MOUNT)], 0.0))
+
+
+def as_pose_errors(data: ScanData, off: Floats) -> Floats:
+    """Return the pose errors (n_scans, 3) [m, m, rad] that are equivalent to an error of mount and delay.
+
+    Parameters
+    ----------
+    off : (4,) [m, m, rad, s] Error of mount and delay, in the order of `POSE_LIKE`.
+    """
+    x, y, yaw, late = off
+    ahead, aside = data.sensor.mount[:2]
+    x, y = x + yaw * aside, y - yaw * ahead  # the laser turns about itself, but a pose turns about the base
+    c, s = np.cos(data.poses[:, 2]), np.sin(data.poses[:, 2])
+    mounted = np.column_stack([c * x - s * y, s * x + c * y, np.full(data.n_scans, yaw)])
+    return np.asarray(mounted - late * data.twists)

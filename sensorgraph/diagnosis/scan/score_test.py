@@ -19,10 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.cast_place import as_cast
 from sensorgraph.diagnosis.scan.fit import Fitted, columns_of, slopes
 from sensorgraph.diagnosis.scan.normal_equations import BorderedProblem, System, limits, with_prior
-from sensorgraph.diagnosis.scan.nuisance import corners_of, effects_with_nuisances
+from sensorgraph.diagnosis.scan.nuisance import as_cast, corners_of, effects_with_nuisances
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Effect
