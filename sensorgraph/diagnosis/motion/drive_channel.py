@@ -179,7 +179,6 @@ def drive_result(model: DriveModel, terms: Sequence[Term], fit: Fit) -> ChannelR
         model,
         terms,
         fit,
-        loop=lambda a: due_to_loop(model.robot, a),
         usual_rival=lambda a: None if rows.has_reference else late_clock(a),
         not_observable=unseen,
         notes={
@@ -202,18 +201,3 @@ def late_clock(a: Amendment) -> Rival | None:
         evidence_nats=a.evidence or 0.0,
         separates="reference poses, which this run lacks; a late odometry clock looks the same",
     )
-
-
-def due_to_loop(robot: Robot, a: Amendment) -> float:
-    """Return the part of a delay or a lag [s] that the control loop of the base may cause; 0 for other effects.
-
-    Commands wait for a tick for up to a period. If `delay` contains the mean wait, all commands in phase with the loop
-    exceed it by half a period. If the period is specified and `delay` is too short to contain the mean wait, the excess
-    is a whole period. Waits that are uniform over a specified period smear a step like a lag equal to their standard
-    deviation.
-    """
-    period, is_stated = robot.tolerances.control_period, "tolerances.control_period" in robot.stated
-    if a.effect is DEAD_TIME:
-        return period if is_stated and robot.actuators.delay < period / 2 else period / 2
-    is_lag = a.effect is ACTUATOR_LAG and a["tau"] > 0 and is_stated
-    return period / float(np.sqrt(12)) if is_lag else 0.0

@@ -321,3 +321,18 @@ def _misread(rows: DriveRows, wheels: MotionDifference) -> Floats:
     middle, nothing = (rows.start + rows.end) / 2, np.zeros(rows.n)
     v, omega = (np.interp(middle, wheels.stamps, rate) for rate in wheels.rates.T)
     return rows.masked(np.stack([np.concatenate([v, nothing]), np.concatenate([nothing, omega])], axis=1))
+
+
+def due_to_loop(robot: Robot, a: Amendment) -> float:
+    """Return the part of a delay or a lag [s] that the control loop of the base may cause; 0 for other effects.
+
+    Commands wait for a tick for up to a period. If `delay` contains the mean wait, all commands in phase with the loop
+    exceed it by half a period. If the period is specified and `delay` is too short to contain the mean wait, the excess
+    is a whole period. Waits that are uniform over a specified period smear a step like a lag equal to their standard
+    deviation.
+    """
+    period, is_stated = robot.tolerances.control_period, "tolerances.control_period" in robot.stated
+    if a.effect is DEAD_TIME:
+        return period if is_stated and robot.actuators.delay < period / 2 else period / 2
+    is_lag = a.effect is ACTUATOR_LAG and a["tau"] > 0 and is_stated
+    return period / float(np.sqrt(12)) if is_lag else 0.0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
 
-from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
+from sensorgraph.diagnosis.engine.ledger import Entry
 from sensorgraph.diagnosis.engine.verdict import OBSERVABLE_SIZE, SURELY, Facts, Objection, Verdict
 from sensorgraph.diagnosis.ledger import accepted_entry, effect_entry
 from sensorgraph.diagnosis.motion.consequence import SimulationError
+from sensorgraph.diagnosis.motion.motor_model import due_to_loop
 from sensorgraph.diagnosis.motion.regression import TEMPERATURE, Fit, Term
 from sensorgraph.diagnosis.motion.selection import FAMILIES_OF, MotionModel
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, TestedFamily
@@ -87,7 +88,6 @@ def _accepted(
     error: float,
     *,
     instead: Alternatives,
-    loop: Callable[[Amendment], float],
     usual_rival: Callable[[Amendment], Rival | None],
 ) -> AcceptedEffect:
     """Return an effect of the model, with its probability against its alternatives and no effect, whose evidence is 0.
@@ -116,7 +116,7 @@ def _accepted(
     missing = fit.simulated - rest.simulated + fit.explained([term.column])
     return AcceptedEffect(
         amendment=a,
-        entry=_judged_entry(a, price, model.error_without(fit, missing), loop(a), error),
+        entry=_judged_entry(a, price, model.error_without(fit, missing), due_to_loop(model.robot, a), error),
         rival=_rival(a, alternatives) or usual_rival(a),
         is_absorbed=a.location is None and _takes(model, fit, missing),
     )
@@ -162,7 +162,6 @@ def channel_result(
     *,
     instead: Alternatives = lambda rest, term: {},
     also_tried: Sequence[TriedEffect] = (),
-    loop: Callable[[Amendment], float] = lambda a: 0.0,
     usual_rival: Callable[[Amendment], Rival | None] = lambda a: None,
     not_observable: Mapping[str, str],
     notes: Mapping[str, object],
@@ -173,15 +172,14 @@ def channel_result(
     Parameters
     ----------
     instead : Returns the evidence of further effects that could replace an effect, given the other hypotheses.
-    loop : Returns the part of a size [s] that the control loop of the base may cause.
     usual_rival : Returns the rival of an effect where no alternative would be named instead.
     not_observable : Effects that the run could not have shown, with the reason, for other reasons than variance.
     """
-    errors = fit.regression.clustered_errors(fit.solution, model.clusters)
+    channel, errors = model.channel, fit.regression.clustered_errors(fit.solution, model.clusters)
     accepted = [
         _accepted(
             model, terms, fit, term, float(errors[term.column]),
-            instead=instead, loop=loop, usual_rival=usual_rival,
+            instead=instead, usual_rival=usual_rival,
         )
         for term in terms
         if term.effect is not None
@@ -196,13 +194,13 @@ def channel_result(
     gap = _gap(model, terms, fit)
     structures = [*_freed(model, terms, fit), *([] if model.structure is None else [model.structure])]
     return ChannelResult(
-        channel=model.channel,
+        channel=channel,
         effects=tuple(one.amendment for one in named),
         within_tolerance=tuple(one.amendment for one in kept if one not in named),
         withdrawn=tuple(
             Withdrawn(amendment=one.amendment, objection=ABSORBED) for one in order if one.is_absorbed
         ),
-        unknown=_unknown(model.channel, structures, gap.n_rays),
+        unknown=_unknown(channel, structures, gap.n_rays),
         rivals=tuple(rival for one in named if (rival := one.rival) is not None),
         gap=gap,
         not_observable={**_unseen_effects(tried), **not_observable},
@@ -212,7 +210,7 @@ def channel_result(
         considered=(
             *(one.entry for one in order),
             *(one.entry for one in tried),
-            *_structure_entries(model.channel, model.tested),
+            *(one.entry(channel, *FAMILIES_OF[channel][one.family.kind]) for one in model.tested),
         ),
         notes=notes,
         motion=motion,
@@ -317,39 +315,8 @@ def _freed(model: MotionModel, terms: Sequence[Term], fit: Fit) -> list[TestedFa
     return [] if best is None or best.size is None else [best]
 
 
-def _structure_entries(channel: str, tested: Iterable[TestedFamily]) -> Iterator[Entry]:
-    """Yield each tested family of a channel at its most likely."""
-    for one in tested:
-        name, title = FAMILIES_OF[channel][one.family.kind]
-        rival, size = one.beaten_by, one.size
-        yield Entry(
-            name=name,
-            channel=channel,
-            title=title,
-            facts=Facts(
-                has_name=False,
-                accepted=size is not None,
-                evidence=one.evidence,
-                threshold=one.threshold,
-                is_material=one.is_material,
-            ),
-            price=one.price,
-            estimate=one.family.statement,
-            rival=None
-            if rival is None
-            else Competitor(title=rival.family.statement, evidence=rival.evidence),
-            size={} if size is None else size.to_dict(),
-            consequence="" if size is None else size.sentence(),
-        )
-
-
 def _unknown(channel: str, structures: Iterable[TestedFamily], n_rows: int) -> Unknown | None:
-    """Describe the structure with the most evidence as a difference that no effect explains; None without any.
-
-    Parameters
-    ----------
-    n_rows : Number of rows of the channel.
-    """
+    """Describe the structure with the most evidence as a difference that no effect explains; None without any."""
     order = sorted(structures, key=lambda one: -one.evidence)
     if not order:
         return None

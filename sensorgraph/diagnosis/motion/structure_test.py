@@ -16,6 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensorgraph.diagnosis.engine.ledger import Competitor, Entry
+from sensorgraph.diagnosis.engine.verdict import Facts
 from sensorgraph.diagnosis.motion.consequence import ReferenceError, SimulationError
 from sensorgraph.diagnosis.motion.increments import MIN_MOTION
 from sensorgraph.diagnosis.motion.reference_noise import robust_log_likelihood
@@ -71,6 +73,29 @@ class TestedFamily:
     """Statements of the next best families."""
     beaten_by: TestedFamily | None = None
     """Family with sufficient evidence that explains the data better."""
+
+    def entry(self, channel: str, name: str, title: str) -> Entry:
+        """Return its entry of the ledger, under the name and the title of its kind."""
+        rival, size = self.beaten_by, self.size
+        return Entry(
+            name=name,
+            channel=channel,
+            title=title,
+            facts=Facts(
+                has_name=False,
+                accepted=size is not None,
+                evidence=self.evidence,
+                threshold=self.threshold,
+                is_material=self.is_material,
+            ),
+            price=self.price,
+            estimate=self.family.statement,
+            rival=None
+            if rival is None
+            else Competitor(title=rival.family.statement, evidence=rival.evidence),
+            size={} if size is None else size.to_dict(),
+            consequence="" if size is None else size.sentence(),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

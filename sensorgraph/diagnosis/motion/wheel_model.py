@@ -14,14 +14,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
 from planners.kernel import outer_kernel
 from sensorgraph.diagnosis.motion.consequence import SimulationError, simulation_error
 from sensorgraph.diagnosis.motion.increments import WheelIncrements, clock_sigma
 from sensorgraph.diagnosis.motion.reference_noise import FILTER_ORDER
 from sensorgraph.diagnosis.motion.regression import (
-    CLUSTER,
     BoundedPrior,
     Fit,
     Regression,
@@ -30,7 +28,7 @@ from sensorgraph.diagnosis.motion.regression import (
     ridge_solution,
 )
 from sensorgraph.diagnosis.motion.structure_test import TestedFamily
-from sensorgraph.diagnosis.motion.wheel_rows import WINDOW, OdometryRows
+from sensorgraph.diagnosis.motion.wheel_rows import WINDOW, OdometryRows, fused_motion
 from sensorgraph.diagnosis.motion.wheel_structure import in_curves
 from sensorgraph.diagnosis.motion.whitening import Whitener, WhiteningFilter, by_kind, clipped
 from sensorgraph.diagnosis.motion.whitening import fit_autoregression as fit_filter
@@ -331,40 +329,3 @@ def _sum_lost(
             lost_right = right[i] * min(max(until - np.sqrt(dx * dx + dy * dy) * per_way, 0.0), 1.0)
             distance[i, j] = (lost_left + lost_right) / 2
             turn[i, j] = (lost_right - lost_left) / track
-
-
-def fused_motion(rows: OdometryRows, wheels: WheelIncrements, residual: Floats) -> WheelIncrements:
-    """Return the increments of the wheels less their noise, as far as the reference shows it.
-
-        minimise over x  |total - x|² + |diff x|² level / walk
-
-    Rows are reference minus wheels. A column made of the wheels' readings would share its noise with the rows (errors
-    in variables; Fuller 1987, chapter 1), and find false scales where it selects increments by their noisy speed, or by
-    standstill. The noise of the wheels is a random walk x, seen with the noise of the averaged reference in the
-    accumulated residual (local-level model; Durbin and Koopman 2012, section 2.4). Mean squares of single rows and of sums
-    over k rows, which grow with the walk only, determine both variances:
-
-        walk = (block - single) / (k - 2/3),   level = (single - 2/3 walk) / 2
-
-    Parameters
-    ----------
-    residual : (3 n,) [m, rad, m] residual of the model.
-    """
-    period, ends = (
-        float(np.median(np.diff(rows.stamps))),
-        np.append(wheels.start, wheels.end[-1]) - rows.clock,
-    )
-    k, noise = max(round(CLUSTER / period), 2), list[Floats]()
-    for kind in by_kind(residual, rows.n)[:2]:
-        part = np.where(rows.valid, clipped(kind, rows.valid, SCAN.goodness_of_fit.clip, 1e-12), 0.0)
-        n = max(len(part) // k, 1)
-        single = float(np.mean(part**2)) + 1e-18
-        block = float(np.mean(part[: n * k].reshape(n, -1).sum(axis=1) ** 2))
-        walk = float(np.clip((block - single) / (k - 2 / 3), 0.0, 1.5 * single))
-        ratio = max(walk / max((single - 2 / 3 * walk) / 2, 1e-18), 1e-9)
-        bands = np.full((2, len(part)), -1.0 / ratio)
-        bands[1] = 1.0 + 2.0 / ratio
-        bands[1, [0, -1]] = 1.0 + 1.0 / ratio
-        bands[0, 0] = 0.0
-        noise.append(np.diff(np.interp(ends, rows.stamps, solveh_banded(bands, np.cumsum(part)))))
-    return replace(wheels, distance=wheels.distance + noise[0], turn=wheels.turn + noise[1])
