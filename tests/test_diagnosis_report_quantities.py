@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from sensorgraph.diagnosis.report.data import plain
-from sensorgraph.diagnosis.report.quantities import number, parameters, percent
-from sensorgraph.diagnosis.report.summary import gap_sentence
+from sensorgraph.diagnosis.report.quantities import gap_sentence, number, parameters, percent
 from sensorgraph.diagnosis.result import FitQuality, Gap
 from sensorgraph.effects import EFFECTS
 

@@ -1,11 +1,12 @@
-"""Format numbers for readers: parameters with errors in cm, degrees and ms, probabilities, places."""
+"""Format numbers for readers: parameters with errors in cm, degrees and ms, probabilities, places, deviations, gaps."""
 
 from __future__ import annotations
 
 import math
 import re
 
-from sensorgraph.diagnosis.result import Deviation
+from sensorgraph.diagnosis.result import Deviation, Gap
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import EFFECTS, Amendment, Parameter
 
 SYMBOLS = {
@@ -15,6 +16,12 @@ SYMBOLS = {
 SCALES = {"rad": (180 / math.pi, "°"), "m/m": (1000.0, "mm per m"), "m/s": (1.0, "m/s")}
 SIGNED = {"b", "b1", "s", "d", "dx", "dy", "delta", "tau", "T"}
 """Parameters that are printed with their sign, if they are sizes."""
+UNCHANGED = 0.97
+"""Ratio of the RMS gap after to before, above which the gap is described as nearly unchanged."""
+QUIET_LASER = (
+    " sensor.sigma in robot.yaml is about {factor:.1f} times the scatter of the laser; with the right value, smaller "
+    "effects can be detected."
+)
 
 
 def symbol(name: str) -> str:
@@ -123,3 +130,45 @@ def deviation_text(where: Deviation) -> str:
     text = where.sentence().replace("at hit place around", "around")
     text = re.sub(r"-?\d\.\d+e-\d+", "0", text)  # rounding error of a bin edge at zero
     return minus(text.replace(" at omega ", " at turn rate "))
+
+
+def from_to(gap: Gap, unit: str) -> str:
+    """Return a gap before and after in units of the noise floor, with an open bracket.
+
+    Parameters
+    ----------
+    unit : cm of scans, cm/s of motion
+    """
+    before, after = (f.normalised / gap.noise_floor.normalised for f in (gap.before, gap.after))
+    return (
+        f"from {before:.2f} to {after:.2f} times the noise floor "
+        f"({100 * gap.before.rmse_m:.2f} to {100 * gap.after.rmse_m:.2f} {unit}"
+    )
+
+
+def gap_sentence(
+    gap: Gap | None, *, channel: str = "scan", n_effects: int = 1, is_widened: bool = False
+) -> str:
+    """Return the gap before and after, in units of the noise floor, which is no measure of a laser if it was widened."""
+    if gap is None or gap.noise_floor.normalised <= 0:
+        return ""
+    before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
+    unit = "cm" if channel == "scan" else "cm/s"
+    if not n_effects:
+        is_loud = channel == "scan" and not is_widened and after * SCAN.nuisance.stretched_scale < floor
+        return (
+            f"The gap is {after / floor:.2f} times the noise floor "
+            f"({100 * gap.after.rmse_m:.2f} {unit} over {100 * gap.noise_floor.rmse_m:.2f} {unit})."
+        ) + (QUIET_LASER.format(factor=floor / after) if is_loud else "")
+    found = "the effect" if n_effects == 1 else "the effects"
+    gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g}")
+    if after > UNCHANGED * before:
+        return (
+            f"With {found} in the model the log-likelihood rises by {gained} per reading, over {gap.n_rays:,} "
+            "held-out readings; the RMS gap hardly changes and is "
+            f"{after / floor:.2f} times the noise floor."
+        )
+    return (
+        f"With {found} in the model the gap shrinks {from_to(gap, unit)}; the log-likelihood rises by {gained} per reading), "
+        "on held-out readings."
+    )

@@ -9,18 +9,21 @@ from enum import StrEnum
 from sensorgraph.diagnosis.finding import Finding, SimulationComparison
 from sensorgraph.diagnosis.motion.calibration.comparison import QUANTITIES
 from sensorgraph.diagnosis.report.considered import tolerated
-from sensorgraph.diagnosis.report.quantities import brief, deviation_text, largest, minus, percent, title_of
-from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Gap, Rival, Unknown
+from sensorgraph.diagnosis.report.quantities import (
+    brief,
+    deviation_text,
+    from_to,
+    gap_sentence,
+    largest,
+    minus,
+    percent,
+    title_of,
+)
+from sensorgraph.diagnosis.result import BOTH_SIDES, Deviation, Rival, Unknown
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.effects import Amendment
 
 OF_MOUNT = {QUANTITIES[name].effect.name for name in ("mount_x", "mount_phi", "delay")}
-UNCHANGED = 0.97
-"""Ratio of the RMS gap after to before, above which the gap is described as nearly unchanged."""
-QUIET_LASER = (
-    " sensor.sigma in robot.yaml is about {factor:.1f} times the scatter of the laser; with the right value, smaller "
-    "effects can be detected."
-)
 MAX_CHANGES = 5
 """Maximum number of changes of the building that are listed."""
 
@@ -338,47 +341,5 @@ def _second_gap_sentence(finding: Finding) -> str:
             f"The second run disagrees: with the effects in the model its log-likelihood falls by {lost:.3g} per reading. "
             "The effects hold for the first run only."
         )
-    said = f"On the second run, which was not used in any fit, it shrinks {_from_to(gap, 'cm')})"
+    said = f"On the second run, which was not used in any fit, it shrinks {from_to(gap, 'cm')})"
     return f"{said}." if is_like else f"{said}, and something else is unexplained: {rest}."
-
-
-def _from_to(gap: Gap, unit: str) -> str:
-    """Return a gap before and after in units of the noise floor, with an open bracket.
-
-    Parameters
-    ----------
-    unit : cm of scans, cm/s of motion
-    """
-    before, after = (f.normalised / gap.noise_floor.normalised for f in (gap.before, gap.after))
-    return (
-        f"from {before:.2f} to {after:.2f} times the noise floor "
-        f"({100 * gap.before.rmse_m:.2f} to {100 * gap.after.rmse_m:.2f} {unit}"
-    )
-
-
-def gap_sentence(
-    gap: Gap | None, *, channel: str = "scan", n_effects: int = 1, is_widened: bool = False
-) -> str:
-    """Return the gap before and after, in units of the noise floor, which is no measure of a laser if it was widened."""
-    if gap is None or gap.noise_floor.normalised <= 0:
-        return ""
-    before, after, floor = (f.normalised for f in (gap.before, gap.after, gap.noise_floor))
-    unit = "cm" if channel == "scan" else "cm/s"
-    if not n_effects:
-        is_loud = channel == "scan" and not is_widened and after * SCAN.nuisance.stretched_scale < floor
-        return (
-            f"The gap is {after / floor:.2f} times the noise floor "
-            f"({100 * gap.after.rmse_m:.2f} {unit} over {100 * gap.noise_floor.rmse_m:.2f} {unit})."
-        ) + (QUIET_LASER.format(factor=floor / after) if is_loud else "")
-    found = "the effect" if n_effects == 1 else "the effects"
-    gained = minus(f"{gap.before.nats_per_ray - gap.after.nats_per_ray:.3g}")
-    if after > UNCHANGED * before:
-        return (
-            f"With {found} in the model the log-likelihood rises by {gained} per reading, over {gap.n_rays:,} "
-            "held-out readings; the RMS gap hardly changes and is "
-            f"{after / floor:.2f} times the noise floor."
-        )
-    return (
-        f"With {found} in the model the gap shrinks {_from_to(gap, unit)}; the log-likelihood rises by {gained} per reading), "
-        "on held-out readings."
-    )
