@@ -6,7 +6,6 @@ import numpy as np
 from scipy.special import ndtr
 
 from planners.types import SAME_PLACE
-from sensorgraph.diagnosis.scan.corner_sums import Sums
 from sensorgraph.diagnosis.scan.likelihood import (
     CUT,
     EDGE_BETWEEN,
@@ -133,7 +132,7 @@ def plain_corner_sums(
     normals: Floats,
     corners: Ints,
     count: int,
-) -> Sums:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the same as `corner_sums`, with dense columns V for x and y of each corner."""
     columns = np.zeros((len(w), 2 * count, w.shape[1]))  # (n_scans, 2 count, n_rays)
     for e in range(2):

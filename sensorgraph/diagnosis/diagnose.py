@@ -98,46 +98,48 @@ def diagnose(
             return misaligned(laid.data, laid.notes, problem, clock.seconds, _driving(run, laid, progress))
         if baseline is None and is_located(run):
             laid = _with_free_poses(laid, noise_bounds)
-        second_data = None if second is None else _prepare_second(second, laid, baseline, noise_bounds, rng)
-        held = held_out(laid.data)
-        laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
-        train, unseen = fitted_and_held_out(laid.data, held, noise_bounds)
+        other = None if second is None else _prepare_second(second, laid, baseline, noise_bounds, rng)
+        parts = (*_split(laid, noise_bounds), other)
         run, second = run.take_scans(slice(0)), None  # the scans of a long log are no longer needed
     motion = partial(diagnose_motion, run, laid.robot, known, progress)
     with clock.stage("odometry and drive"):  # before the scans, since both need much memory in a long run
         odometry, drive = motion()
     scans = diagnose_scans(
-        train,
-        unseen,
-        second_data,
-        noise_bounds=noise_bounds,
-        baseline=baseline,
-        simulated=simulated,
-        rng=rng,
-        clock=clock,
+        *parts, noise_bounds=noise_bounds, baseline=baseline, simulated=simulated, rng=rng, clock=clock
     )
     if shows_straight_reference(scans, odometry):
         with clock.stage("odometry and drive"):
             odometry, drive = motion(is_reference_straight=True)
+    found = _finding(laid, scans, odometry, drive, simulated)
+    plan = _planned(scans, laid, seed, clock) if plan_next else None
+    return replace(found, next_run=plan, seconds=clock.seconds)
+
+
+def _finding(
+    laid: _Laid,
+    scans: ScanDiagnosis,
+    odometry: ChannelResult,
+    drive: ChannelResult,
+    simulated: Sequence[Amendment],
+) -> Finding:
+    """Return the finding, with the channels adjusted for what the scans and a simulation show."""
+    judged = beside_shown_reference(odometry, scans.explained.final.state.pose_scale)
     return Finding(
-        channels=_channels(scans, odometry, drive, simulated),
+        channels={one.channel: without_shared(one, simulated) for one in (scans.result, judged, drive)},
         intake=laid.notes,
         data=laid.data,
         explained=scans.explained,
         goodness_of_fit=scans.goodness_of_fit,
         second_gap=scans.second_gap,
         shared=tuple(a for one in (scans.result, odometry, drive) for a in shared_with(one, simulated)),
-        next_run=_planned(scans, laid, seed, clock) if plan_next else None,
-        seconds=clock.seconds,
     )
 
 
-def _channels(
-    scans: ScanDiagnosis, odometry: ChannelResult, drive: ChannelResult, simulated: Sequence[Amendment]
-) -> dict[str, ChannelResult]:
-    """Return the channels, adjusted for what the scans and a simulation show."""
-    odometry = beside_shown_reference(odometry, scans.explained.final.state.pose_scale)
-    return {one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)}
+def _split(laid: _Laid, noise_bounds: NoiseBounds) -> tuple[ScanData, ScanData]:
+    """Return the scans for fits and the held-out ones, and note how many there are."""
+    held = held_out(laid.data)
+    laid.notes.update(rays=int(laid.data.ranges.size), held_out_scans=int(held.sum()))
+    return fitted_and_held_out(laid.data, held, noise_bounds)
 
 
 def _driving(run: Run, laid: _Laid, progress: ProgressBars) -> DrivingFinding | None:

@@ -16,8 +16,6 @@ A small pose or map error moves a corner that two rays pass, such as a table leg
 the lateral distance `aside` and the range r with the probability
 
     chance = min(½, Phi(-|aside| / hypot(blur_angle r, blur_place))).
-
-The sums, and the loop over scans and corners, are compiled.
 """
 
 from __future__ import annotations
@@ -34,7 +32,6 @@ from sensorgraph.types import Bools, Floats, Ints
 
 SHARE_OF_PLACE = 0.5
 """Share of the prior variance of a corner that all corners of its obstacle have in common: its place and its shape are equally uncertain."""
-Sums = tuple[Floats, Floats, Floats, Floats]
 SQRT_2, TURN = sqrt(2.0), 2 * pi
 
 
@@ -47,7 +44,7 @@ def corner_sums(
     normals: Floats,
     corners: Ints,
     count: int,
-) -> Sums:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the weighted products cv, gv, vv, rv of corner shifts with poses, columns, each other and residuals.
 
     Parameters

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from planners.kernel import outer_kernel
+from planners.kernel import inlined_kernel, outer_kernel
 from sensorgraph.diagnosis.scan.corner_sums import corners_between_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -197,6 +197,25 @@ def _onward(behind: Ints, ahead: Ints, n_rays: int) -> Ints:
     return out
 
 
+@inlined_kernel
+def _beyond(
+    walls: Floats, behind: int, met: float, ox: float, oy: float, ux: float, uy: float
+) -> tuple[float, float]:
+    """Return the range [m] of a ray beyond an edge, and the cosine of its incidence there.
+
+    That is where the ray meets the line of the wall `behind`, or else the range `met` by its neighbour.
+    """
+    if behind < 0:
+        return met, 1.0
+    ax, ay = walls[behind, 0, 0], walls[behind, 0, 1]
+    dx, dy = walls[behind, 1, 0] - ax, walls[behind, 1, 1] - ay
+    length = max(math.hypot(dx, dy), 1e-12)
+    nx, ny = dy / length, -dx / length
+    across = ux * nx + uy * ny
+    r = ((ax - ox) * nx + (ay - oy) * ny) / across
+    return r if abs(across) > GRAZING and r > 0 else met, abs(across)
+
+
 @outer_kernel
 def add_rays_behind(
     best: tuple[Floats, Floats, Floats],
@@ -236,18 +255,7 @@ def add_rays_behind(
         i, m, angle, behind = scan[e], first[e], away[e], other[0][e]
         while True:
             chance = min(0.5 * math.erfc(angle / edge_blur[e] / math.sqrt(2.0)), 0.5)
-            beyond, cosine = other[1][e], 1.0
-            if behind >= 0:
-                ax, ay = walls[behind, 0, 0], walls[behind, 0, 1]
-                dx, dy = walls[behind, 1, 0] - ax, walls[behind, 1, 1] - ay
-                length = max(math.hypot(dx, dy), 1e-12)
-                nx, ny = dy / length, -dx / length
-                across = ux[i, m] * nx + uy[i, m] * ny
-                cosine = abs(across)
-                if cosine > GRAZING:
-                    r = ((ax - ox[i, m]) * nx + (ay - oy[i, m]) * ny) / across
-                    if r > 0:
-                        beyond = r
+            beyond, cosine = _beyond(walls, behind, other[1][e], ox[i, m], oy[i, m], ux[i, m], uy[i, m])
             own = ranges[i, m]
             if (
                 chance > least
