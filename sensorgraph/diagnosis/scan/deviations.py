@@ -1,13 +1,11 @@
 """Deviations between measured and simulated readings that exceed chance.
 
-Residuals are summed over the bins of a dozen partitions (wall, bearing, range, …):
+Residuals are summed over the bins of a dozen partitions (wall, bearing, range, incidence, time, motion, place):
 
     z = Σ s / sqrt(Σ_blocks (s_block - mean n_block)²).
 
 The z of a bin is clustered. Its variance is estimated from the scatter between blocks of about one second, so that
 neighbouring rays and scans, which share their errors, count once.
-
-Partition the rays of a run into bins: by wall, bearing, range, incidence, time, motion and place.
 """
 
 from __future__ import annotations
@@ -36,8 +34,6 @@ N_BINS = 24
 """Number of bins of a partition by one quantity."""
 OF_WALLS = ("wall", "hit place")
 """Partitions whose bins also show the shape of walls."""
-
-
 Scores = dict[str, tuple[Floats, Bools]]
 """Kind of deviation -> deviation of every ray from the model, with the expected value 0, and whether it has one; else 0."""
 

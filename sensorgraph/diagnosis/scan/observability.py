@@ -5,12 +5,8 @@
 Here x is an effect of the scan channel, written as a shift of the nuisance parameters. M is the normal matrix
 of the fit with the pose errors eliminated, and n are the nuisance parameters with their tolerances tau. The
 evidence is the log Bayes factor that this run would contribute if the effect were present. For effects without
-derivatives, the rays that would be lost or change their reading are counted instead.
-
-Evidence that the rays of a run would provide for an effect.
-
-The expected evidence of a smooth change x is ½ xᵀ M x, minus the part that bounded nuisances absorb. M is the Fisher
-information with the poses eliminated. For missing returns it is the expected log-likelihood ratio of the losses.
+derivatives, the rays that would be lost or change their reading are counted instead; for missing returns, the evidence is the
+expected log-likelihood ratio of the losses.
 """
 
 from __future__ import annotations

@@ -3,20 +3,17 @@
     J = Σ_i log[(1 - share) p_i(prior) + share p_i(wider² prior)]
 
 J is the log-likelihood of a mixture of two kinds of scan, fitted by expectation maximisation (Dempster, Laird and Rubin
-1977): the pose errors of the second kind have a much wider prior. The pose error of each scan is integrated out
-(`each_scan`).
+1977): the pose errors of the second kind have a much wider prior. The normal equations of each scan for its pose error
+(`each_scan`) give the likelihood under a prior, with the error integrated out.
 
-Normal equations of each scan for its pose error, and their likelihood under a prior with the error integrated out.
-
-log p_i(prior) = right_i' (block_i + prior⁻¹)⁻¹ right_i / 2 - log |I + prior block_i| / 2
+    log p_i(prior) = right_i' (block_i + prior⁻¹)⁻¹ right_i / 2 - log |I + prior block_i| / 2
 
 `tolerance_scale` is the ratio of one part of the reference error to its tolerance: the jitter of stamps, or the heading.
 
     gain(of_rest, of_part) = Σ_i clip(log p_i(of_rest² rest + of_part² part) - log p_i(common² (rest + part)), ±MOST)
 
 Here `rest` and `part` are the prior covariances of the pose error of scan i: of everything else, and of this
-part. The log-likelihood log p_i has the pose error integrated out (`each_scan`), and `common` is the pose scale
-of the fit.
+part; `common` is the pose scale of the fit.
 
 A fit has one scale for the whole reference error. If poses are better than specified and stamps are worse,
 that scale shows neither: the error from stamp jitter grows with speed, and the pose error does not. The same
