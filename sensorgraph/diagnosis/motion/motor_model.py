@@ -46,13 +46,12 @@ from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.types import Bools, Floats
 from sensorgraph.world.robot import Robot
 
-QUOTIENT = 0.004
-"""[s or m/s] step of the difference quotients, within which the simulation counts as linear."""
 LAG_SIGMA = 0.004
 """[s] tolerance of the time constant."""
+QUOTIENT = LAG_SIGMA
+"""[s or m/s] step of the difference quotients, within which the simulation counts as linear: what is tolerated anyway."""
 MAX_STEPS = 6
-MAX_STEP = 0.1
-"""[s or m/s] maximum step of time constant, dead time and maximum speed."""
+"""Maximum number of Gauss-Newton steps."""
 FILTER_ORDER = 4
 """Order of the whitening filters."""
 GAIN_SIGMA = 0.03
@@ -217,7 +216,7 @@ class DriveModel:
                 best = here
             if is_small:
                 break
-            lag, delay, v_max = np.clip(steps, -MAX_STEP, MAX_STEP)
+            lag, delay, v_max = steps
             motors = MotorParameters(
                 tau=float(max(motors.tau + lag, 0.0)),
                 delay=float(motors.delay + delay),

@@ -50,8 +50,6 @@ MIN_WINDOWS = 10
 """Minimum number of windows for a statement."""
 CERTAIN = 0.8
 """Correlation above which two motions are the same, and below minus which they are opposite."""
-MAX_PATCHES = 3
-"""Maximum number of patches in one run."""
 MIN_DISTANCE = 1.0
 """[m] minimum path for a slip to be observable."""
 
@@ -197,13 +195,13 @@ def select(model: WheelModel, *, is_reference_straight: bool = False) -> list[Te
     Structure that no effect explains competes with the effects, and replaces patches if it explains more. If the
     reference is known to be straight, a distorted reference is not tried.
     """
-    most = len(model.terms) + MAX_PATCHES
-    terms = engine.select(WheelChannel(model), threshold=SCAN.selection.threshold, most=most)
+    settings = SCAN.selection
+    terms = engine.select(WheelChannel(model), threshold=settings.threshold, most=settings.max_effects)
     add_structure(model, terms, is_reference_straight=is_reference_straight)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
             refine_patch(model, i, terms)
-    engine.remove_superfluous(WheelChannel(model, terms), terms, threshold=SCAN.selection.threshold)
+    engine.remove_superfluous(WheelChannel(model, terms), terms, threshold=settings.threshold)
     return terms
 
 
@@ -217,7 +215,7 @@ class WheelChannel(MotionChannel):
     def best(self, model: Sequence[Term]) -> tuple[Term, float] | None:
         """Return the best further hypothesis, which may be a patch, and its evidence [nats]."""
         wheels, other = self.wheels, super().best(model)
-        can_slip = len(wheels.patches) < MAX_PATCHES
+        can_slip = len(wheels.patches) < SCAN.selection.max_effects
         found = wheels.last_patch = best_patch(wheels, model) if can_slip else None
         if found is None or found[1] < max(SCAN.selection.threshold, -np.inf if other is None else other[1]):
             return other

@@ -113,9 +113,8 @@ QUARTERS = (0.25, 0.5, 0.75)
 """Shares of the highest speed or turn rate, above which a scale or a gain may differ."""
 Noise = tuple[WhiteningFilter, ...]
 """One filter for each kind of rows, for instance translation and rotation."""
-MAX_NOISES, MAX_ROUNDS, N_REWEIGHTED = 6, 4, 2
-"""Maximum number of earlier noise fits from which a fit may start, maximum number of alternations between
-columns and noise, and number of reweightings of the rows."""
+MAX_ROUNDS, N_REWEIGHTED = 4, 2
+"""Maximum number of alternations between columns and noise, and number of reweightings of the rows."""
 MIN_GAIN = 0.5
 """[nats] gain below which the iteration stops, and below which a family explains nothing."""
 NoiseFitter = Callable[[int, Floats, Bools], WhiteningFilter]
@@ -220,7 +219,7 @@ class StructureTest:
             if latest.evidence - before.evidence < MIN_GAIN:
                 break
         self.whitener, self.residual = best.whitener, best.residual
-        self._noises = [best.whitener.filters, *self._noises[: MAX_NOISES - 1]]
+        self._noises.insert(0, best.whitener.filters)
         return best.evidence
 
     def _noise(self, residual: Floats) -> Noise:

@@ -35,10 +35,10 @@ SPARE_CLEARANCE = 0.08
 """[m] additional clearance of places, where available."""
 N_PLACES = 14
 """Number of places in the whole room at which motions start, or through which the paths between them lead."""
-N_SWEEP_HEADINGS = 6
-"""Number of headings at each place for sweeps."""
 SWEEP_ANGLE = float(np.radians(60.0))
 """[rad] of a sweep to either side."""
+N_SWEEP_HEADINGS = round(2 * np.pi / SWEEP_ANGLE)
+"""Number of headings at each place for sweeps: each direction is in two of them."""
 CELL = 0.25
 """[m] cell size of the grid of reachable places."""
 
