@@ -1,103 +1,43 @@
-"""What stands in the place that the graph lacks, and what is gone: evidence in cells over several passes.
+"""What stands in the place that the graph lacks, and what is gone: evidence of readings in cells.
 
-A reading that ends before the predicted surface is evidence for something new where it ends. A reading that ends beyond
-the predicted surface is evidence that this is gone. Rays that pass through a cell, or end at the predicted surface, are
-evidence against. People do not stay. The evidence of one pass is limited, so that several must agree. Whoever stood there at the last
-pass is still there after a time t with the probability exp(-t / stay), so that the next one counts only the rest.
+With p_0, the density of any reading in the place, and s, the share of readings that the place explains (`readings`), a reading z
+that ends in a cell has the density
+
+    s / c + (1 - s) p_0                      if something new is in the cell, whose side is c,
+    s p_0 / S_0(d) + (1 - s) p_0             if the surface predicted at d < z is gone; S_0 is the survival function of p_0,
+    s p + (1 - s) p_0                        if the place is as the graph knows it.
+
+The last one is a mean over the distribution of the pose, since at an edge, centimetres decide which surface a ray meets. The
+logarithm of the ratio is evidence for a change. Only readings that the graph does not predict count: it does not state how it
+errs. A ray that passes through a cell, or ends at the predicted surface, is evidence against.
+
+What changes for a while is no change of the place (`place_cells`): people are new for a while, and surfaces that the graph predicts
+wrongly from one side are gone until the robot sees them from another.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+import math
+from typing import Final
 
 import numpy as np
-from scipy.ndimage import label
-from scipy.special import expit
 
+from logs.transforms import compose, wrap
 from sensorgraph.models.base import Prediction
 from sensorgraph.types import Bools, Floats, Ints
+from sensorgraph.watching.modes import Mode
+from sensorgraph.watching.place_cells import ChangeCells, ThingCells
+from sensorgraph.watching.place_changes import ChangeKind, MovedThing, PlaceChange, moved_things, things_in
 from sensorgraph.watching.readings import GraphReadings, ReadingEvidence
 from sensorgraph.watching.scan_input import ScanInput
 from sensorgraph.watching.settings import PLACE, PlacePriors
-from sensorgraph.world.cell_outline import outline
 
-ChangeKind = Literal["new", "gone"]
 RECENT = 1000.0
 """Number of independent readings over which the share that the graph predicts is averaged."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlaceChange:
-    """One connected thing that came or is gone."""
-
-    kind: ChangeKind
-    centre: Floats
-    """(2,) [m, map]"""
-    size: Floats
-    """(2,) [m] along x and y"""
-    outlines: tuple[Floats, ...]
-    """Closed lines (n, 2) [m, map]"""
-    first_seen: float
-    """[s]"""
-    last_seen: float
-    passes: int
-    """Number of passes that show it."""
-    p: float
-    """Mean probability of its cells."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "xy": [round(float(v), 3) for v in self.centre],
-            "size_m": [round(float(v), 3) for v in self.size],
-            "outline": [[[round(float(v), 3) for v in point] for point in line] for line in self.outlines],
-            "first_seen": round(self.first_seen, 3),
-            "last_seen": round(self.last_seen, 3),
-            "passes": self.passes,
-            "p": round(self.p, 4),
-        }
-
-
-class _Cells:
-    """Evidence of one kind in all cells."""
-
-    def __init__(self, shape: tuple[int, int], priors: PlacePriors) -> None:
-        self.priors = priors
-        self.before = np.zeros(shape, dtype=np.float32)  # evidence of earlier passes
-        self.now = np.zeros(shape, dtype=np.float32)  # of the current pass
-        self.most = np.full(shape, priors.per_pass, dtype=np.float32)  # evidence of the current pass, at most
-        self.passes = np.zeros(shape, dtype=np.int16)  # earlier passes for the change
-        self.touched = np.full(shape, -np.inf)
-        self.began = np.full(shape, -np.inf)
-        self.first = np.full(shape, np.nan)
-        self.last = np.full(shape, np.nan)
-
-    def add(self, cells: Ints, nats: float, stamp: float) -> None:
-        """Add evidence to cells (n, 2)."""
-        if len(cells) == 0:
-            return
-        s, (i, j) = self.priors, np.unique(cells, axis=0).T
-        is_new = (stamp - self.touched[i, j] > s.pass_gap) | (stamp - self.began[i, j] > s.stay)
-        a, b = i[is_new], j[is_new]
-        self.passes[a, b] += self.now[a, b] > 0.5 * self.most[a, b]
-        self.most[a, b] = s.per_pass * -np.expm1((self.began[a, b] - stamp) / s.stay)
-        self.began[a, b] = stamp
-        limit = 3.0 * s.per_pass
-        self.before[a, b] = np.clip(self.before[a, b] + self.now[a, b], -limit, limit)
-        self.now[a, b] = 0.0
-        self.touched[i, j] = stamp
-        self.now[i, j] = np.clip(self.now[i, j] + nats, -s.per_pass, self.most[i, j])
-        if nats > 0:
-            self.first[i, j] = np.where(np.isnan(self.first[i, j]), stamp, self.first[i, j])
-            self.last[i, j] = stamp
-
-    def probabilities(self) -> tuple[Floats, Ints]:
-        """Return the probability of a change and the number of passes that show it, for all cells."""
-        s = self.priors
-        prior = np.log(s.changed / (1.0 - s.changed))
-        passes = self.passes + (self.now > 0.5 * self.most)
-        return expit(prior + self.before + self.now), passes.astype(np.intp)
+PASSES: Final = math.log(0.5)
+"""[nats] Evidence of a ray that passes through a cell with the rim of a thing, which fills half of it in the mean."""
+CLOSEST = 0.3
+"""[m] A cell closer to the laser is not judged by rays that pass."""
 
 
 class Place:
@@ -109,8 +49,12 @@ class Place:
         self.readings, self.priors = readings, priors
         self.low = low
         nx, ny = (np.ceil((high - low) / priors.cell).astype(int) + 1).tolist()
-        self.new, self.gone = _Cells((nx, ny), priors), _Cells((nx, ny), priors)
         self.shape = nx, ny
+        self.new = ThingCells(self.shape, priors)
+        self.gone = ThingCells(self.shape, priors)
+        bearings = wrap(readings.sensor.bearings[readings.rays])
+        self._order = np.argsort(bearings)
+        self._sorted = bearings[self._order]
         self.predicted, self.counted = 0.0, 0.0
 
     @property
@@ -119,92 +63,86 @@ class Place:
         return self.predicted / self.counted if self.counted > 0 else None
 
     def update(
-        self, now: ScanInput, pose: Floats, expected: Prediction, found: ReadingEvidence, usable: Bools
+        self, now: ScanInput, mode: Mode, expected: Prediction, found: ReadingEvidence, usable: Bools
     ) -> None:
-        """Take the readings of a scan at a pose (3,), with those expected there and their evidence."""
+        """Take the readings of a scan at the pose of a mode, with those expected there and their evidence."""
         s, r = self.priors, self.readings
         stamp, weight, z = now.observation.stamp, now.weight, now.observation.ranges[r.rays]
-        predicted, answered = expected.mode[0], expected.answered[0] & found.known[0] & usable
         fits = found.fits[0]
-        returned = answered & np.isfinite(z) & (z < r.sensor.range_max)
-        if returned.any():
-            keep = max(1.0 - weight * returned.sum() * r.priors.independent / RECENT, 0.0)
-            self.predicted = keep * self.predicted + weight * float(fits[returned].sum())
-            self.counted = keep * self.counted + weight * float(returned.sum())
-        explained = self._explained(z, predicted)
-        odd = returned & (fits < 0.2) & ~explained
-        laser = self._laser(pose)
+        returned = expected.answered[0] & found.known[0] & usable & np.isfinite(z) & (z < r.sensor.range_max)
+        if not returned.any():
+            return
+        z, d = np.where(returned, z, 0.0), np.where(returned, expected.mode[0], 0.0)
+        keep = max(1.0 - weight * returned.sum() * r.priors.independent / RECENT, 0.0)
+        self.predicted = keep * self.predicted + weight * float(fits[returned].sum())
+        self.counted = keep * self.counted + weight * float(returned.sum())
+        laser = np.asarray(compose(mode.pose, r.sensor.mount))
         phi = laser[2] + r.sensor.bearings[r.rays]
         way = np.column_stack([np.cos(phi), np.sin(phi)])
-        is_sure = expected.p_no_return[0] < 0.5
-        short = odd & (z < predicted - s.least_difference)
-        beyond = odd & is_sure & (z > predicted + s.least_difference)
-        agrees = returned & is_sure & (np.abs(z - predicted) < s.least_difference)
-        self.new.add(self._cells(laser[:2] + z[short, None] * way[short]), s.for_change, stamp)
-        self.new.add(
-            self._passed(laser[:2], way[returned], z[returned] - 2 * s.cell), -s.against_change, stamp
-        )
-        self.gone.add(self._cells(laser[:2] + predicted[beyond, None] * way[beyond]), s.for_change, stamp)
-        self.gone.add(
-            self._cells(laser[:2] + predicted[agrees, None] * way[agrees]), -s.against_change, stamp
-        )
+        ratios, is_odd = self._odd(now.observation.ranges, mode, found, returned)
+        share = found.predicted
+        of_new = np.logaddexp(math.log(share / s.cell) - r.anywhere.log_density(z), math.log(1 - share))
+        of_gone = np.logaddexp(math.log(share) - r.anywhere.log_survival(d), math.log(1 - share))
+        ends, surfaces = laser[:2] + z[:, None] * way, laser[:2] + d[:, None] * way
+        is_new = is_odd & (z < d - s.least_difference) & r.seen.contains(ends)
+        cells, which = self._cells(ends, is_new)
+        self.new.add(cells, weight * (of_new - ratios)[which], stamp)
+        for some in (self.new.cells, self.new.things):
+            passed = self._passed(some, laser, z, returned, stamp)
+            some.add(passed, np.full(len(passed), weight * PASSES), stamp)
+        is_sure = returned & (expected.p_no_return[0] < 0.5)
+        is_gone = is_odd & is_sure & (z > d + s.least_difference)
+        cells, which = self._cells(surfaces, is_gone)
+        agreeing, agrees = self._cells(surfaces, is_sure & (np.abs(z - d) < s.least_difference))
+        is_asked = np.isin(agreeing, cells) | self.gone.is_doubtful(agreeing)
+        of_gone = weight * (of_gone - ratios)
+        nats = np.concatenate([of_gone[which], of_gone[agrees][is_asked]])
+        self.gone.add(np.concatenate([cells, agreeing[is_asked]]), nats, stamp)
 
     def changes(self) -> list[PlaceChange]:
         """Return what came and what is gone, the most certain first."""
-        found = [*self._components("new", self.new), *self._components("gone", self.gone)]
+        both: tuple[tuple[ChangeKind, ThingCells], ...] = (("new", self.new), ("gone", self.gone))
+        found = [
+            one for kind, cells in both for one in things_in(kind, cells, self.shape, self.low, self.priors)
+        ]
         return sorted(found, key=lambda change: -change.p)
 
-    def _laser(self, pose: Floats) -> Floats:
-        x, y, phi = self.readings.sensor.mount
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
-        return np.array([pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y, pose[2] + phi])
+    def moved(self, changes: list[PlaceChange]) -> list[MovedThing]:
+        """Return the pairs of changes that are probably one thing."""
+        area = self.shape[0] * self.shape[1] * self.priors.cell**2
+        return moved_things(changes, area, self.priors)
 
-    def _explained(self, z: Floats, predicted: Floats) -> Bools:
-        """Tell which readings the prediction of a neighbouring ray explains, as at the edge of a surface."""
-        n = self.priors.edge_rays
-        padded = np.pad(predicted, n, constant_values=np.nan)
-        near = np.stack([padded[k : k + len(z)] for k in range(2 * n + 1)])
-        with np.errstate(invalid="ignore"):
-            close = np.abs(near - z) < self.priors.least_difference
-            between = (z > np.nanmin(near, axis=0)) & (z < np.nanmax(near, axis=0))
-        return np.asarray(close.any(axis=0) | between)
+    def _odd(
+        self, ranges: Floats, mode: Mode, found: ReadingEvidence, returned: Bools
+    ) -> tuple[Floats, Bools]:
+        """Return the evidence (n_rays,) of a scan for the graph, and which readings the graph does not predict.
 
-    def _cells(self, points: Floats) -> Ints:
-        """Return the cells (n, 2) of points (n, 2), without those outside."""
-        cells = np.floor((points - self.low) / self.priors.cell).astype(np.intp)
-        inside = ((cells >= 0) & (cells < self.shape)).all(axis=1)
-        return np.asarray(cells[inside])
+        Of readings that it does not predict at the mean pose, it is that of the whole distribution of the pose.
+        """
+        ratios, least = found.ratios[0].copy(), 1.0 - found.predicted
+        odd = np.flatnonzero(returned & (found.fits[0] < least))
+        if len(odd):
+            parts = self.readings.evidence(ranges, mode.parts(), odd)
+            likelihoods = np.exp(np.where(parts.known, parts.ratios, 0.0))
+            ratios[odd] = np.log(likelihoods.mean(axis=0))
+        fits = 1.0 - (1.0 - found.predicted) * np.exp(-ratios)
+        return ratios, returned & (fits < least)
 
-    def _passed(self, start: Floats, way: Floats, length: Floats) -> Ints:
-        """Return the cells with evidence for something new that rays pass through."""
-        steps = np.arange(0.3, max(float(length.max(initial=0.0)), 0.3), self.priors.cell)
-        points = start + steps[:, None, None] * way  # (n_steps, n_rays, 2)
-        cells = self._cells(points[steps[:, None] < length])
-        some = self.new.now[cells[:, 0], cells[:, 1]] + self.new.before[cells[:, 0], cells[:, 1]] > 0
-        return np.asarray(cells[some])
+    def _cells(self, points: Floats, which: Bools) -> tuple[Ints, Bools]:
+        """Return the cells (n,) of some points (n_rays, 2), and which points (n_rays,) have one that is not at the border."""
+        at = np.floor((np.where(which[:, None], points, np.inf) - self.low) / self.priors.cell)
+        inside: Bools = np.asarray(((at >= 1) & (at < np.array(self.shape) - 1)).all(axis=1))
+        return np.ravel_multi_index(tuple(at[inside].astype(np.intp).T), self.shape), inside
 
-    def _components(self, kind: ChangeKind, cells: _Cells) -> list[PlaceChange]:
-        s = self.priors
-        p, passes = cells.probabilities()
-        is_changed = p > 0.5
-        if not is_changed.any():
-            return []
-        numbers, n = label(is_changed, structure=np.ones((3, 3)))
-        out = []
-        for k in range(1, n + 1):
-            own = np.argwhere(numbers == k)
-            if len(own) < s.least_cells:
-                continue
-            i, j = own.T
-            first, last = own.min(axis=0), own.max(axis=0) + 1
-            part = numbers[first[0] : last[0], first[1] : last[1]] == k
-            shape = outline(part, self.low + first * s.cell, s.cell)
-            out.append(
-                PlaceChange(
-                    kind=kind, centre=self.low + (own.mean(axis=0) + 0.5) * s.cell, size=(last - first) * s.cell,
-                    outlines=tuple(np.asarray(one.exterior.coords) for one in shape.geoms),
-                    first_seen=float(np.nanmin(cells.first[i, j])), last_seen=float(np.nanmax(cells.last[i, j])),
-                    passes=int(passes[i, j].max()), p=float(p[i, j].mean()),
-                )
-            )  # fmt: skip
-        return out
+    def _passed(self, some: ChangeCells, laser: Floats, z: Floats, returned: Bools, stamp: float) -> Ints:
+        """Return the doubtful cells that rays pass through, at least two cells before they end."""
+        side, cells = self.priors.cell, some.shown
+        cells = cells[some.is_doubtful(cells) & (some.looked[cells] < stamp)]
+        off = self.low + (np.column_stack(np.unravel_index(cells, self.shape)) + 0.5) * side - laser[:2]
+        distance, bearing = np.hypot(*off.T), wrap(np.arctan2(off[:, 1], off[:, 0]) - laser[2])
+        after = np.searchsorted(self._sorted, bearing) % len(self._sorted)
+        beside = np.stack([self._order[after - 1], self._order[after]])
+        aside = np.abs(wrap(self.readings.sensor.bearings[self.readings.rays][beside] - bearing))
+        nearest = np.where(aside[0] < aside[1], beside[0], beside[1])
+        meets = (aside.min(axis=0) * distance < side / 2) & (distance > CLOSEST) & returned[nearest]
+        return np.asarray(cells[meets & (z[nearest] > distance + 2 * side)])

@@ -105,22 +105,24 @@ class PlacePriors:
     """[m] Side of a cell."""
     changed: float = 0.01
     """Prior probability that a cell has changed."""
+    for_a_while: float = 0.025
+    """Share of the time for which a cell is changed for a while: by people, open doors, or where the graph errs from one view."""
+    stay: float = 45.0
+    """[s] Mean time for which a cell is changed for a while: a person stays, or the robot sees it from one side."""
     least_difference: float = 0.15
     """[m] A reading that ends closer to the predicted surface does not show a change."""
-    for_change: float = 1.5
-    """[nats] Evidence of one reading that ends in a cell, or passes through the predicted one."""
-    against_change: float = 0.7
-    """[nats] Evidence of one reading that passes through a cell, or ends at the predicted one."""
-    per_pass: float = 3.0
-    """[nats] Evidence of one pass, at most: whoever stands there for a while is one observation."""
     pass_gap: float = 10.0
-    """[s] Time out of sight after which another pass begins."""
-    stay: float = 45.0
-    """[s] Mean time for which a person stays at one place. What stays in sight for longer counts as another pass."""
+    """[s] Time without a change in sight after which another pass is counted."""
     least_cells: int = 2
     """Number of cells of the smallest change."""
-    edge_rays: int = 2
-    """Number of neighbouring rays that may explain a reading at the edge of a surface."""
+    moved: float = 0.5
+    """Share of the things gone that were moved within the place."""
+    way: float = 0.5
+    """[m] Standard deviation of their ways along x and y; what is carried further is gone at one place and new at another."""
+    like: float = 0.5
+    """Standard deviation of the logarithm of the ratio of two sizes of one thing, of which one side is seen."""
+    unlike: float = 1.0
+    """The same for two things."""
 
 
 @dataclass(frozen=True, kw_only=True)

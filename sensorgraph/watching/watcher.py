@@ -156,7 +156,7 @@ class Watcher:
             return
         expected = self.readings.predict(main.pose)
         found = self.readings.evidence(now.observation.ranges, main.pose[None], expected=expected)
-        self.place.update(now, main.pose, expected, found, self.tracker.usable)
+        self.place.update(now, main, expected, found, self.tracker.usable)
         self.robot.update(now, main.pose, expected)
         self.tracker.usable = self.robot.usable
 
