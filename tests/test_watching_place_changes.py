@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from localization_samples import ROOM, loop_poses, room_run
+from watching_samples import believing, graph
 
+import sensorgraph as sg
 from sensorgraph.watching.place_cells import ChangeCells, ThingCells
 from sensorgraph.watching.place_changes import PlaceChange, moved_things, things_in
 from sensorgraph.watching.settings import PLACE
+from sensorgraph.watching.status import WatchStatus
 
 AREA = 100.0
 """[m²] of a place."""
@@ -82,3 +86,18 @@ def test_among_many_new_things_the_next_one_is_less_probably_the_same() -> None:
     near = [change("gone", 0.0), change("new", 0.5)]
     many = [*near, *(change("new", 20.0 + k) for k in range(9))]
     assert moved_things(many, AREA, PLACE)[0].p < moved_things(near, AREA, PLACE)[0].p
+
+
+@pytest.mark.slow
+def test_the_box_of_the_room_that_moved_is_one_change_with_its_distance() -> None:
+    moved = [(a + 0.4, b, c + 0.4, d) for a, b, c, d in ROOM[-4:]]
+    poses = loop_poses(480, laps=4)
+    end = list(sg.watch(graph(), believing(room_run(poses, seed=19, walls=[*ROOM[:-4], *moved]), poses)))[-1]
+    assert isinstance(end, WatchStatus)
+    assert len(end.moved) == 1 and end.n_changes < len(end.changes)
+    assert (
+        0.1 < end.moved[0].distance < 0.4 + 0.95
+    )  # the side that is gone and the new one are the box's width apart at most
+    assert "1 moved (by 0." in end.sentences()[1]
+    told = end.to_dict()["place"]["moved"][0]
+    assert told["distance_m"] == pytest.approx(end.moved[0].distance, abs=1e-3)

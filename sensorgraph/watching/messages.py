@@ -27,7 +27,7 @@ from sensorgraph.watching.status import WatchStatus
 
 DIAGNOSTICS_TOPIC, MARKERS_TOPIC, POSE_TOPIC = "/diagnostics", "/watch/changes", "/watch/pose"
 logger = logging.getLogger(__name__)
-COLOURS = {"new": (0.82, 0.2, 0.36), "gone": (0.16, 0.36, 0.82)}
+COLOURS = {"new": (0.82, 0.2, 0.36), "gone": (0.16, 0.36, 0.82), "moved": (0.55, 0.28, 0.6)}
 LEVEL_OF_POSE = {"ok": OK, "ambiguous": WARN, "off": ERROR, "lost": ERROR}
 
 
@@ -37,7 +37,7 @@ def statements_of(status: WatchStatus, policy: WatchPolicy) -> list[DiagnosticSt
     pose, share = status.pose, status.share_predicted
     worst = {"ok": OK, "warning": WARN, "error": ERROR}[policy.level(status)[0]]
     few = share is not None and share < policy.share_predicted["warning"]
-    place = WARN if few or len(status.changes) > policy.n_changes else OK
+    place = WARN if few or status.n_changes > policy.n_changes else OK
     values = (
         {
             "status": pose.status, "p": f"{pose.p:.4f}", "p_wrong": f"{pose.p_wrong:.4f}", "since": f"{pose.since:.1f}",
@@ -47,6 +47,7 @@ def statements_of(status: WatchStatus, policy: WatchPolicy) -> list[DiagnosticSt
             "share_predicted": "" if share is None else f"{share:.4f}",
             "new": str(sum(change.kind == "new" for change in status.changes)),
             "gone": str(sum(change.kind == "gone" for change in status.changes)),
+            "moved": str(len(status.moved)),
         },
         {doubt.name: f"{doubt.p:.4f}" for doubt in status.doubts},
     )  # fmt: skip
@@ -59,8 +60,14 @@ def statements_of(status: WatchStatus, policy: WatchPolicy) -> list[DiagnosticSt
 
 
 def outlines_of(status: WatchStatus) -> list[OutlineMarker]:
-    """Return the outlines of all changes."""
-    return [
+    """Return the outlines of all changes, and a line from where each thing that moved was to where it is."""
+    ways = [
+        OutlineMarker(
+            namespace="moved", points=np.array([thing.gone.centre, thing.new.centre]), colour=COLOURS["moved"]
+        )
+        for thing in status.moved
+    ]
+    return ways + [
         OutlineMarker(namespace=change.kind, points=line, colour=COLOURS[change.kind])
         for change in status.changes
         for line in change.outlines

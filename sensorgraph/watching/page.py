@@ -108,11 +108,18 @@ def _map(data: PageData) -> str:
             f'<polygon points="{line(outline)}" fill="{colour}" fill-opacity="0.45" stroke="{colour}" stroke-width="1.5"><title>{title}</title></polygon>'
             for outline in change.outlines
         ]
+    for thing in data.last.moved:
+        title = escape(f"moved by {thing.distance:.2f} m, p = {thing.p:.2f}")
+        parts.append(
+            f'<polyline points="{line(np.array([thing.gone.centre, thing.new.centre]))}" fill="none" stroke="#8c4799" '
+            f'stroke-width="3"><title>{title}</title></polyline>'
+        )
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="100%">{"".join(parts)}</svg>'
         f'<p class="note">x from {low[0]:.1f} to {high[0]:.1f} m, y from {low[1]:.1f} to {high[1]:.1f} m; '
         "grey: surfaces of the graph; line: where the robot was, by our own tracking, from the ring to the dot, in the colours "
-        'of the time line; <span style="color:#d1345b">■</span>&nbsp;new, <span style="color:#2a5bd1">■</span>&nbsp;gone</p>'
+        'of the time line; <span style="color:#d1345b">■</span>&nbsp;new, <span style="color:#2a5bd1">■</span>&nbsp;gone, '
+        '<span style="color:#8c4799">■</span>&nbsp;way of a thing that moved</p>'
     )
 
 
@@ -124,6 +131,12 @@ def _changes(last: WatchStatus) -> str:
         f'<td class="n">{change.size[0]:.1f} × {change.size[1]:.1f} m</td><td class="n">{change.first_seen:.0f} s</td>'
         f'<td class="n">{change.last_seen:.0f} s</td><td class="n">{change.passes}</td><td class="n">{change.p:.2f}</td></tr>'
         for change in last.changes
+    )
+    rows += "".join(
+        f'<tr><td>moved by {thing.distance:.2f} m</td><td class="n">{thing.new.centre[0]:.2f}, {thing.new.centre[1]:.2f} m</td>'
+        f'<td colspan="4">from {thing.gone.centre[0]:.2f}, {thing.gone.centre[1]:.2f} m: the new and the gone thing there are one</td>'
+        f'<td class="n">{thing.p:.2f}</td></tr>'
+        for thing in last.moved
     )
     numbers = ("where", "size", "first seen", "last seen", "passes", "probability")
     head = "<th>what</th>" + "".join(f'<th class="n">{word}</th>' for word in numbers)

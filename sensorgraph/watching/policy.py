@@ -57,7 +57,11 @@ class WatchPolicy:
 
     def level(self, status: WatchStatus) -> tuple[Level, str]:
         """Return the level of a status, and the reason."""
-        reasons: list[tuple[Level, str]] = [("ok", "")]
+        return max([("ok", ""), *self.reasons(status)], key=lambda reason: LEVELS.index(reason[0]))
+
+    def reasons(self, status: WatchStatus) -> list[tuple[Level, str]]:
+        """Return all limits that a status exceeds: the level, and a sentence that begins with pose, place or robot."""
+        reasons: list[tuple[Level, str]] = []
         pose, share = status.pose, status.share_predicted
         for level in LEVELS[1:]:
             if pose.p_wrong > self.p_wrong[level]:
@@ -71,14 +75,14 @@ class WatchPolicy:
                 )
         if pose.status == "ambiguous":
             reasons.append(("warning", f"pose {pose.sentence()}"))
-        if len(status.changes) > self.n_changes:
+        if status.n_changes > self.n_changes:
             reasons.append(
-                ("warning", f"place: {len(status.changes)} changes, expected at most {self.n_changes}")
+                ("warning", f"place: {status.n_changes} changes, expected at most {self.n_changes}")
             )
         for doubt in status.doubts:
             if doubt.p > MAJORITY and doubt.name not in self.ignored:
                 reasons.append(("error" if doubt.p > 0.99 else "warning", f"robot: {doubt.sentence()}"))
-        return max(reasons, key=lambda reason: LEVELS.index(reason[0]))
+        return reasons
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -117,7 +121,7 @@ def learn(runs: Sequence[Iterable[WatchStatus]]) -> WatchPolicy:
         if not statuses:
             continue
         hours += (statuses[-1].t - statuses[0].t) / 3600.0
-        n_changes = max(n_changes, len(statuses[-1].changes))
+        n_changes = max(n_changes, statuses[-1].n_changes)
         for minute in _minutes(statuses):
             wrong.append(max(status.pose.p_wrong for status in minute))
             shares = [1.0 - status.share_predicted for status in minute if status.share_predicted is not None]

@@ -169,8 +169,9 @@ class Watcher:
         repeated = [text if n == 1 else f"{text}; {n} times" for text, n in self._repeated.values()]
         notes = (*self._notes, *repeated)
         self._notes, self._repeated = [], {}
+        changes = self.place.changes()
         return WatchStatus(
-            t=stamp, pose=pose, changes=self.place.changes(), share_predicted=self.place.share_predicted,
+            t=stamp, pose=pose, changes=changes, moved=self.place.moved(changes), share_predicted=self.place.share_predicted,
             doubts=self.robot.doubts(stamp), notes=notes,
         )  # fmt: skip
 
