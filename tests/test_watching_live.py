@@ -17,6 +17,15 @@ from rosbags.typesys import Stores, get_typestore
 from benchmarks import zenoh_robot as lab
 from logs.live.keys import parse_token
 from sensorgraph.cli import run as cli
+from sensorgraph.watching.live import warm_up
+from sensorgraph.watching.tracker import PoseTracker
+
+
+def test_kernels_are_warmed_up_by_a_robot_that_is_searched_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[int] = []
+    monkeypatch.setattr(PoseTracker, "_search", lambda self, now: begun.append(1))
+    warm_up(graph())
+    assert begun
 
 
 @pytest.mark.slow
@@ -40,7 +49,7 @@ def test_a_running_robot_is_watched_and_its_statements_are_published(
 
     def drive() -> None:
         robot.send("/tf_static", lab.mount(1_700_000_000.0, 0.0, 0.0, 0.0))
-        robot.wait_for_listener()
+        robot.wait_for_listener(timeout=300.0)  # without a cache, the kernels are compiled first
         began = time.monotonic()
         for k, ((x, y, phi), ranges) in enumerate(zip(poses, run.ranges, strict=True)):
             stamp = 1_700_000_000.0 + k / 20.0

@@ -129,8 +129,9 @@ def _watch_live(
     from logs import parse_topics
     from logs.live.network import DEFAULT_ROUTER, RosNetwork
     from logs.live.recording import LiveScans
-    from sensorgraph.watching.live import LiveWatch
+    from sensorgraph.watching.live import LiveWatch, warm_up
 
+    warm_up(output.model)  # compiling takes a minute, in which scans would be left out
     with RosNetwork(router or DEFAULT_ROUTER, domain, wait=wait) as network:
         watched = LiveWatch(
             output.model, LiveScans(network, topics=parse_topics(topics or [])), output.limits, wait=wait

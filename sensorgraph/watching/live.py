@@ -7,13 +7,15 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from logs.live.keys import PublishedTopic
 from logs.live.network import RosNetwork
 from logs.live.recording import LiveScans
 from logs.ros.diagnostics import DIAGNOSTICS_TYPE, MARKERS_TYPE, diagnostic_message, marker_message
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.watching.messages import DIAGNOSTICS_TOPIC, MARKERS_TOPIC, outlines_of, statements_of
-from sensorgraph.watching.observation import observations
+from sensorgraph.watching.observation import Observation, observations
 from sensorgraph.watching.policy import WatchPolicy
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.watcher import Watcher
@@ -22,6 +24,27 @@ LOOK_EVERY = 0.05
 """[s] Interval at which new messages are interpreted: the delay of a statement."""
 RESET = 5.0
 """[s] A clock that goes back by more has started again."""
+
+
+LOOKS = 6
+"""Number of synthetic scans from each of two poses."""
+
+
+def warm_up(graph: Sensorgraph) -> None:
+    """Watch a robot that must be searched for and is then carried away, so that all kernels are compiled before scans arrive.
+
+    The scans are those that the graph predicts at poses in the space that it has seen.
+
+    Raises
+    ------
+    SensorgraphError : The graph has another model than faces or cells.
+    """
+    watcher = Watcher(graph)
+    poses = np.repeat(watcher.readings.seen.draw(2, np.random.default_rng(0)), LOOKS, axis=0)
+    ranges = graph.predict(watcher.readings.graph_poses(poses)).ranges
+    for k, scan in enumerate(ranges):
+        believed = poses[0] if k >= LOOKS // 2 else None
+        watcher.add(Observation(stamp=float(k), ranges=scan, odometry=np.zeros(3), believed=believed))
 
 
 class LiveWatch:
