@@ -7,6 +7,7 @@ truth: the whole log, located together. Parts:
 
 - `clean`: false alarms per hour on the second half, and the load
 - `latency`: the time that each scan takes on the second half, where it arrives at its stamp, as live
+- `policy`: how often limits from the run of the graph are exceeded in the second half, where nothing is wrong
 - `pose`: `--n` kidnaps (the log goes on at another place) and as many beliefs put off by 0.5 to 1 m or 10° to 20°; share
   said within 5 s, and the area under the curve of each alarm over the seconds before and after
 
@@ -41,6 +42,7 @@ from sensorgraph.exporting.amcl import DEFAULTS
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.localization.likelihood_field import points_on
 from sensorgraph.watching.observation import Observation
+from sensorgraph.watching.policy import learn
 from sensorgraph.watching.pose import PoseJudge
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.tracker import PoseTracker
@@ -323,6 +325,35 @@ def clean_part(data: Halves) -> None:
     print(f"named without a policy, in seconds: {dict(named)}")
 
 
+def good_run(data: Halves) -> Watched:
+    """Return the run of the graph, with its located poses as belief."""
+    poses = logs.pair(data.first).poses
+    whole = Watched(
+        stamps=data.first.stamps, ranges=data.first.ranges, odometry=driven(data.first), believed=poses, changed=len(poses)
+    )  # fmt: skip
+    return whole.at(np.flatnonzero(np.isfinite(poses[:, 0])))
+
+
+def policy_part(data: Halves) -> None:
+    """Print how often a policy from the run of the graph warns in the second half, by statement."""
+    sensor = data.second.sensor
+    policy = learn([list(watch_scans(data.graph, good_run(data).observations(), sensor))])
+    print(f"{60 * policy.hours:.1f} min of good runs: {policy.to_dict()}")
+    watched = clean_scans(data, driven(data.second), np.flatnonzero(np.isfinite(data.truth[:, 0])))
+    hours, seconds = float(np.ptp(watched.stamps)) / 3600, Counter[str]()
+    begun: Counter[str] = Counter()
+    before: set[str] = set()
+    for status in watch_scans(data.graph, watched.observations(), sensor, baseline=policy.baseline):
+        level, _ = policy.level(status)
+        now = {f"{reason.split()[0].rstrip(':')} {each}" for each, reason in policy.reasons(status)}
+        seconds.update([level, *now])
+        begun.update(now - before)
+        before = now
+    print(f"{60 * hours:.1f} min watched, in seconds: {dict(seconds)}")
+    for name, n in begun.most_common():
+        print(f"{name}: begins {n} times, {n / hours:.1f} per hour")
+
+
 def latency_part(data: Halves) -> None:
     """Print how long each scan takes, by the clock and in CPU time of its thread, beside that of searches."""
     scans = np.flatnonzero(np.isfinite(data.truth[:, 0]))
@@ -347,7 +378,7 @@ def main() -> None:
     """Print the tables."""
     parser = parser_of(__doc__)
     log_of_halves(parser)
-    parser.add_argument("--part", choices=("clean", "latency", "pose"), default="clean")
+    parser.add_argument("--part", choices=("clean", "latency", "policy", "pose"), default="clean")
     parser.add_argument("--n", type=int, default=50)
     parser.add_argument(
         "--swapped", action="store_true", help="watch the first half in a graph of the second"
@@ -359,6 +390,8 @@ def main() -> None:
     )
     if options.part == "clean":
         clean_part(data)
+    elif options.part == "policy":
+        policy_part(data)
     elif options.part == "latency":
         latency_part(data)
     else:

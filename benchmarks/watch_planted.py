@@ -1,45 +1,42 @@
 """Faults of laser and wheels, and things in the place, planted into the second half of a raw log: does `watch` name them.
 
     python -m benchmarks.watch_planted ../shared/data/raw-carmen/fr079.clf.bz2 --work /tmp/in_map --part robot --n 50
-    python -m benchmarks.watch_planted ../shared/data/raw-carmen/fr079.clf.bz2 --work /tmp/in_map --part place --n 8
+    python -m benchmarks.watch_planted ../shared/data/raw-carmen/fr079.clf.bz2 --work /tmp/in_map --part place --n 60 --seed 1
 
 The graph is of the first half, as in `benchmarks.watch`. Parts:
 
 - `robot`: one fault of the size of the issue in each stretch, with a policy from the run of the graph. A stretch ends when the
   robot has driven for the time of the issue where the graph knows the surroundings; it may stand, and drive elsewhere, meanwhile
-- `place`: `--n` round things of 30 cm that stand all the time where the robot passes at least three times; each is found if
-  it is reported while the third pass lasts. The same log without them gives the changes that are reported anyway: people who
-  stand, doors, and whatever else differs between the halves
+- `place`: up to `--n` things, round ones 20 to 50 cm wide and boards of 80 cm. In turn, they come, go, move by 15 to 50 cm (or
+  turn, as a door does) and stay between the halves, where the robot passes at least three times. The graph is of the first half
+  with those that stand there. A change is found if it is reported while the third pass lasts. All other changes count as false:
+  those that stay, and people, doors, and whatever else differs between the halves
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-import logs
+import sensorgraph as sg
 from benchmarks.arguments import log_of_halves, parser_of
-from benchmarks.localize_in_map import Halves, halves
+from benchmarks.localize_in_map import Halves, halves, poses_at_scans
 from benchmarks.particle_filter import driven
-from benchmarks.watch import Watched, clean_scans
-from logs.run import RangeSensor
+from benchmarks.planted_things import BOARD, Scans, Thing, chosen_things, passes_of, with_things
+from benchmarks.watch import Watched, clean_scans, good_run
+from logs.run import Run
 from logs.transforms import compose, invert
-from planners.types import Bools, Floats
-from sensorgraph.watching.place import PlaceChange
+from planners.types import Bools, Floats, Ints
+from sensorgraph.watching.place_changes import PlaceChange
 from sensorgraph.watching.policy import learn
 from sensorgraph.watching.watcher import watch_scans
 
-RADIUS = 0.15
-"""[m] of a planted thing."""
-IN_SIGHT, CLEAR, APART, NEAR = 4.0, 0.5, 2.0, 0.4
-"""[m] Distance at which a thing counts as in sight; from walls and from the path; between things; of a change from its thing."""
-GAP = 10.0
-"""[s] out of sight, after which another pass begins."""
-
-
+BESIDE = 0.15
+"""[m] A change that is further from the rim of a thing is another one."""
 PLANTS: Mapping[str, float] = {
     "healthy": 120.0, "blocked_sector": 5.0, "missing_returns": 60.0, "mount_yaw": 60.0, "range_bias": 120.0, "wheel_radius": 120.0,
 }  # fmt: skip
@@ -85,11 +82,8 @@ def driving_clock(watched: Watched, is_known: Bools) -> Floats:
 
 def robot_part(data: Halves, n: int, faults: Mapping[str, float]) -> None:
     """Print how often planted faults are named, with a policy from the run of the graph."""
-    poses, sensor = logs.pair(data.first).poses, data.second.sensor
-    of_graph = Watched(
-        stamps=data.first.stamps, ranges=data.first.ranges, odometry=driven(data.first), believed=poses, changed=len(poses)
-    ).at(np.flatnonzero(np.isfinite(poses[:, 0])))  # fmt: skip
-    policy = learn([list(watch_scans(data.graph, of_graph.observations(), sensor))])
+    sensor = data.second.sensor
+    policy = learn([list(watch_scans(data.graph, good_run(data).observations(), sensor))])
     print(
         "baseline: " + ", ".join(f"{k} {v.value:.4f} ± {v.tolerance:.4f}" for k, v in policy.baseline.items())
     )
@@ -116,79 +110,67 @@ def robot_part(data: Halves, n: int, faults: Mapping[str, float]) -> None:
         )
 
 
-def with_things(watched: Watched, sensor: RangeSensor, things: Floats) -> Watched:
-    """Return the scans with round things (n, 2) [m] that stop the rays."""
-    lasers = compose(watched.believed, np.tile(sensor.mount, (len(watched.stamps), 1)))
-    ranges = watched.ranges.copy()
-    angles = lasers[:, 2:] + sensor.bearings
-    for thing in things:
-        off = thing - lasers[:, :2]
-        along = off[:, :1] * np.cos(angles) + off[:, 1:] * np.sin(angles)
-        aside = off[:, :1] * np.sin(angles) - off[:, 1:] * np.cos(angles)
-        meets = (np.abs(aside) < RADIUS) & (along > 0)
-        reach = along - np.sqrt(np.where(meets, RADIUS**2 - aside**2, 0.0))
-        ranges = np.where(meets & ~(ranges < reach), reach, ranges)
-    return replace(watched, ranges=ranges)
+def scans_of(run: Run, poses: Floats, scans: Ints) -> Scans:
+    """Return some scans of a run with their poses (n_scans, 3)."""
+    return Scans(stamps=run.stamps[scans], poses=poses[scans], ranges=run.ranges[scans])
 
 
-def passes_of(watched: Watched, data: Halves, thing: Floats) -> list[tuple[float, float]]:
-    """Return begin and end [s] of each pass with a thing in sight, ahead of the walls."""
-    shown = with_things(watched, data.second.sensor, thing[None]).ranges < watched.ranges - 0.1
-    near = np.hypot(*(watched.believed[:, :2] - thing).T) < IN_SIGHT
-    stamps = watched.stamps[near & (shown.sum(axis=1) >= 3)]
-    if len(stamps) == 0:
-        return []
-    cuts = np.flatnonzero(np.diff(stamps) > GAP)
-    first, last = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(stamps) - 1]])
-    return [(float(stamps[a]), float(stamps[b])) for a, b in zip(first, last, strict=True)]
+def graph_with(things: Sequence[Thing], first: Run, path: Path, rng: np.random.Generator) -> sg.Sensorgraph:
+    """Return the graph of a located run with the things that stand there before; it is kept in a file."""
+    if not path.exists():
+        scans = scans_of(first, poses_at_scans(first)[0], np.arange(first.n_scans))
+        stand = [(one.before, one.radius) for one in things if one.before is not None]
+        sg.build(replace(first, ranges=with_things(scans, first.sensor, stand, rng)), calibrate=False).save(
+            path
+        )
+    return sg.Sensorgraph.load(path)
 
 
-def chosen_things(watched: Watched, data: Halves, n: int, rng: np.random.Generator) -> Iterator[Floats]:
-    """Yield places of things: off the path, off the walls, apart, with three passes."""
-    found: list[Floats] = []
-    ends = data.walls.reshape(-1, 2)
-    for _ in range(2000):
-        at = watched.believed[rng.integers(len(watched.stamps)), :2] + rng.uniform(-2.0, 2.0, 2)
-        is_free = np.hypot(*(watched.believed[:, :2] - at).T).min() > CLEAR
-        is_free &= np.hypot(*(ends - at).T).min() > CLEAR
-        is_free &= all(np.hypot(*(one - at)) > APART for one in found)
-        if is_free and len(passes_of(watched, data, at)) >= 3:
-            found.append(at)
-            yield at
-        if len(found) == n:
-            return
-
-
-def place_part(data: Halves, n: int, rng: np.random.Generator) -> None:
-    """Print how many planted things are found by the third pass, and how many changes are reported besides."""
-    odometry, is_true = driven(data.second), np.isfinite(data.truth[:, 0])
+def place_part(data: Halves, n: int, seed: int, path: Path) -> None:
+    """Print how many planted changes are found by the third pass, and how many others are reported."""
+    sensor, first = data.second.sensor, data.first
+    poses, odometry, is_true = poses_at_scans(first)[0], driven(data.second), np.isfinite(data.truth[:, 0])
     watched = clean_scans(data, odometry, np.flatnonzero(is_true))
-    seen = clean_scans(data, odometry, np.flatnonzero(is_true & data.covered))
-    things = np.array(list(chosen_things(seen, data, n, rng))).reshape(-1, 2)
-    hours = float(np.ptp(watched.stamps)) / 3600
-    *_, last = watch_scans(data.graph, watched.observations(), data.second.sensor)
-    plain = last.changes
-    print(f"without things: {len(plain)} changes, {len(plain) / hours:.1f} per hour")
-    told = list(
-        watch_scans(
-            data.graph, with_things(watched, data.second.sensor, things).observations(), data.second.sensor
-        )
+    all_scans, known = (
+        scans_of(data.second, data.truth, np.flatnonzero(one)) for one in (is_true, is_true & data.covered)
     )
-    found = 0
+    located = scans_of(first, poses, np.flatnonzero(np.isfinite(poses[:, 0])))
+    rng = np.random.default_rng(seed)
+    things = list(chosen_things(located, all_scans, known, sensor, data.walls, n, rng))
+    graph = graph_with(things, first, path, rng)
+    stand = [(one.after, one.radius) for one in things if one.after is not None]
+    planted_scans = replace(watched, ranges=with_things(all_scans, sensor, stand, rng))
+    told = list(watch_scans(graph, planted_scans.observations(), sensor))
+    tally: dict[str, list[bool]] = {}
     for thing in things:
-        third = passes_of(seen, data, thing)[2][1]
-        when = next((s.t for s in told if any(_is_at(change, thing) for change in s.changes)), np.inf)
-        found += when <= third + 1.0
-        print(
-            f"({thing[0]:.1f}, {thing[1]:.1f}) m: third pass ends at {third:.0f} s, reported at {when:.0f} s"
+        third = passes_of(thing.places[-1], thing.radius, known, sensor)[2][1]
+        when, said = next(
+            ((s.t, change.kind) for s in told for change in s.changes if _is_of(change, thing)),
+            (np.inf, "nothing"),
         )
-    others = [c for c in told[-1].changes if not any(_is_at(c, thing) for thing in things)]
-    print(f"found by the third pass: {found} of {len(things)}; other changes {len(others)}")
+        tally.setdefault(thing.kind, []).append(when <= third + 1.0)
+        print(f"{thing}: third pass ends at {third:.0f} s, {said} reported at {when:.0f} s")
+    for pair in told[-1].moved:
+        own = [
+            one for one in things if one.kind == "moved" and _is_of(pair.gone, one) and _is_of(pair.new, one)
+        ]
+        print(f"moved by {pair.distance:.2f} m, p {pair.p:.2f}: {own[0] if own else 'no thing that moved'}")
+    others = [c for c in told[-1].changes if not any(_is_of(c, one) for one in things if one.kind != "stays")]
+    hours = float(np.ptp(watched.stamps)) / 3600
+    for change in others:
+        print(
+            f"false: {change.kind} at ({change.centre[0]:.1f}, {change.centre[1]:.1f}) m, {change.passes} passes, p {change.p:.2f}"
+        )
+    counts = ", ".join(f"{kind} {sum(each)} of {len(each)}" for kind, each in tally.items())
+    print(f"reported by the third pass: {counts}; other changes {len(others)} in {hours:.2f} h")
 
 
-def _is_at(change: PlaceChange, thing: Floats) -> bool:
-    half = change.size / 2 + NEAR
-    return change.kind == "new" and bool((np.abs(thing - change.centre) < half).all())
+def _is_of(change: PlaceChange, thing: Thing) -> bool:
+    """Tell whether a change is at a place of a thing."""
+    half = change.size / 2 + (thing.radius or BOARD / 2) + BESIDE
+    places = {"new": thing.after, "gone": thing.before}
+    at = thing.places[-1] if thing.kind == "stays" else places[change.kind]
+    return at is not None and bool((np.abs(at[:2] - change.centre) < half).all())
 
 
 def main() -> None:
@@ -196,12 +178,14 @@ def main() -> None:
     parser = parser_of(__doc__)
     log_of_halves(parser)
     parser.add_argument("--part", choices=("robot", "place"), required=True)
-    parser.add_argument("--n", type=int, default=8)
+    parser.add_argument("--n", type=int, default=8, help="number of things, at most")
+    parser.add_argument("--seed", type=int, default=0, help="of the places of the things")
     parser.add_argument("--faults", nargs="+", choices=PLANTS, default=[*PLANTS])
     options = parser.parse_args()
     data = halves(options.log, options.work)
     if options.part == "place":
-        place_part(data, options.n, np.random.default_rng(0))
+        name = f"{options.log.name}.first.planted_{options.n}_{options.seed}.sensorgraph"
+        place_part(data, options.n, options.seed, options.work / name)
     else:
         robot_part(data, options.n, {name: PLANTS[name] for name in options.faults})
 
