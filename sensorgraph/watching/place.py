@@ -36,6 +36,8 @@ RECENT = 1000.0
 """Number of independent readings over which the share that the graph predicts is averaged."""
 PASSES: Final = math.log(0.5)
 """[nats] Evidence of a ray that passes through a cell with the rim of a thing, which fills half of it in the mean."""
+SIDE = 1.0
+"""[m] Side of the cells in which the area is measured that rays have crossed."""
 CLOSEST = 0.3
 """[m] A cell closer to the laser is not judged by rays that pass."""
 
@@ -52,6 +54,7 @@ class Place:
         self.shape = nx, ny
         self.new = ThingCells(self.shape, priors)
         self.gone = ThingCells(self.shape, priors)
+        self._crossed = np.zeros(np.ceil((high - low) / SIDE).astype(int), dtype=np.bool_)
         bearings = wrap(readings.sensor.bearings[readings.rays])
         self._order = np.argsort(bearings)
         self._sorted = bearings[self._order]
@@ -83,6 +86,7 @@ class Place:
         share = found.predicted
         of_new = np.logaddexp(math.log(share / s.cell) - r.anywhere.log_density(z), math.log(1 - share))
         of_gone = np.logaddexp(math.log(share) - r.anywhere.log_survival(d), math.log(1 - share))
+        self._cross(laser, way[returned], z[returned])
         ends, surfaces = laser[:2] + z[:, None] * way, laser[:2] + d[:, None] * way
         is_new = is_odd & (z < d - s.least_difference) & r.seen.contains(ends)
         cells, which = self._cells(ends, is_new)
@@ -109,8 +113,7 @@ class Place:
 
     def moved(self, changes: list[PlaceChange]) -> list[MovedThing]:
         """Return the pairs of changes that are probably one thing."""
-        area = self.shape[0] * self.shape[1] * self.priors.cell**2
-        return moved_things(changes, area, self.priors)
+        return moved_things(changes, float(self._crossed.sum()) * SIDE**2, self.priors)
 
     def _odd(
         self, ranges: Floats, mode: Mode, found: ReadingEvidence, returned: Bools
@@ -127,6 +130,14 @@ class Place:
             ratios[odd] = np.log(likelihoods.mean(axis=0))
         fits = 1.0 - (1.0 - found.predicted) * np.exp(-ratios)
         return ratios, returned & (fits < least)
+
+    def _cross(self, laser: Floats, way: Floats, z: Floats) -> None:
+        """Note the area that rays with directions (n, 2) and lengths (n,) [m] cross."""
+        steps = np.arange(0.5 * SIDE, float(z.max()), SIDE)
+        points = (laser[:2] + steps[:, None, None] * way)[steps[:, None] < z]
+        at = np.floor((points - self.low) / SIDE).astype(np.intp)
+        inside = ((at >= 0) & (at < self._crossed.shape)).all(axis=1)
+        self._crossed[tuple(at[inside].T)] = True
 
     def _cells(self, points: Floats, which: Bools) -> tuple[Ints, Bools]:
         """Return the cells (n,) of some points (n_rays, 2), and which points (n_rays,) have one that is not at the border."""

@@ -6,7 +6,7 @@ things, the odds for a distance d and sizes a and b are
 
     m f(d) g(log(b / a)) / ((1 - m) (n / A) g_0(log(b / a))),
 
-where n new things on the area A of the place lie anywhere. Ways and logarithms of ratios are normally distributed.
+where n new things lie anywhere on the area A that rays have crossed. Ways and logarithms of ratios are normally distributed.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def moved_things(changes: Sequence[PlaceChange], area: float, priors: PlacePrior
 
     Parameters
     ----------
-    area : [m²] of the place.
+    area : [m²] that rays have crossed.
     """
     gone, new = ([one for one in changes if one.kind == kind] for kind in ("gone", "new"))
     if not gone or not new:
