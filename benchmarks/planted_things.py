@@ -187,3 +187,17 @@ def chosen_things(
         if len(passes_of(thing.places[-1], thing.radius, watched, sensor)) >= 3:
             found.append(thing)
             yield thing
+
+
+def share_ending(at: Floats, scans: Scans, sensor: RangeSensor) -> float:
+    """Return the share of the rays that come to a place (2,) which end there and do not pass; nan if none comes."""
+    close = Scans(**{name: getattr(scans, name)[near(at, scans)] for name in ("stamps", "poses", "ranges")})
+    lasers = compose(close.poses, np.tile(sensor.mount, (len(close.poses), 1)))
+    angles, off = lasers[:, 2:] + sensor.bearings, at - lasers[:, :2]
+    along = off[:, :1] * np.cos(angles) + off[:, 1:] * np.sin(angles)
+    aside = off[:, :1] * np.sin(angles) - off[:, 1:] * np.cos(angles)
+    comes = (np.abs(aside) < 0.1) & (along > 0.3) & np.isfinite(close.ranges)
+    ends = comes & (np.abs(close.ranges - along) < 0.15)
+    passes = comes & (close.ranges > along + 0.25)
+    n = int(ends.sum() + passes.sum())
+    return float(ends.sum() / n) if n else np.nan

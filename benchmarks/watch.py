@@ -342,14 +342,18 @@ def policy_part(data: Halves) -> None:
     watched = clean_scans(data, driven(data.second), np.flatnonzero(np.isfinite(data.truth[:, 0])))
     hours, seconds = float(np.ptp(watched.stamps)) / 3600, Counter[str]()
     begun: Counter[str] = Counter()
+    named: dict[str, str] = {}
     before: set[str] = set()
     for status in watch_scans(data.graph, watched.observations(), sensor, baseline=policy.baseline):
         level, _ = policy.level(status)
         now = {f"{reason.split()[0].rstrip(':')} {each}" for each, reason in policy.reasons(status)}
-        seconds.update([level, *now])
+        seconds.update([level, *now, *(fault.name for fault in status.faults)])
+        named.update({fault.name: fault.sentence() for fault in status.faults})
         begun.update(now - before)
         before = now
     print(f"{60 * hours:.1f} min watched, in seconds: {dict(seconds)}")
+    for name, text in named.items():
+        print(f"{name}: {text}, healthy {policy.baseline.get(name)}")
     for name, n in begun.most_common():
         print(f"{name}: begins {n} times, {n / hours:.1f} per hour")
 
