@@ -139,7 +139,7 @@ def place_part(data: Halves, n: int, seed: int, path: Path) -> None:
     located = scans_of(first, poses, np.flatnonzero(np.isfinite(poses[:, 0])))
     rng = np.random.default_rng(seed)
     things = list(chosen_things(located, all_scans, known, sensor, data.walls, n, rng))
-    graph = graph_with(things, first, path, rng)
+    graph = graph_with(things, first, path, np.random.default_rng([seed, 1]))
     stand = [(one.after, one.radius) for one in things if one.after is not None]
     planted_scans = replace(watched, ranges=with_things(all_scans, sensor, stand, rng))
     told = list(watch_scans(graph, planted_scans.observations(), sensor))

@@ -19,10 +19,10 @@ from benchmarks.hidden_effects.worlds.own.cases import make
 from benchmarks.locate import aligned, office_run
 from benchmarks.offices import office
 from benchmarks.places import arena_named, vehicle
+from benchmarks.planted_things import Scans, with_things
 from benchmarks.sensitivity import Answer
 from benchmarks.uncalibrated_laser import Laser, free_poses
 from benchmarks.watch import Watched
-from benchmarks.watch_planted import with_things
 from logs import Run
 from logs.run import RangeSensor
 from logs.transforms import compose, invert
@@ -187,6 +187,10 @@ def planned(walls: dict[str, list[tuple[float, float]]], drive: str = "diff", **
     return answer
 
 
+RADIUS = 0.15
+"""[m] of a planted thing."""
+
+
 def watched(office_seed: int) -> Answer:
     """Return what watches a drive to and fro, with a new thing, missing returns, a worn wheel, and a kidnap at its end."""
     run, truth = office_run(office_seed)
@@ -202,8 +206,11 @@ def watched(office_seed: int) -> Answer:
         stamps=stamps, ranges=run.ranges[index], believed=poses, changed=carried,
         odometry=np.array(list(accumulate(steps, compose, initial=poses[0]))),
     )  # fmt: skip
-    thing = compose(truth[half + n // 2], np.array([0.0, 0.6, 0.0]))[:2]
-    scans = with_things(scans, run.sensor, thing[None])
+    thing = compose(truth[half + n // 2], np.array([0.0, 0.6, 0.0]))
+    ranges = with_things(
+        Scans(stamps=stamps, poses=poses, ranges=scans.ranges), run.sensor, [(thing, RADIUS)], rng
+    )
+    scans = replace(scans, ranges=ranges)
     scans.ranges[rng.random(scans.ranges.shape) < 0.05] = np.inf
     scans.believed[carried:] = compose(poses[carried - 1], compose(invert(poses[carried]), poses[carried:]))
     planted = {"missing_returns", "wheel_radius"}
@@ -247,15 +254,15 @@ def fleet_trends() -> Answer:
 def surveyed(office_seed: int) -> Answer:
     """Return what compares a drive with the walls of its place, in which a thing is new and all ranges are 5 cm long."""
     run, truth = office_run(office_seed)
-    scans = Watched(stamps=run.stamps, ranges=run.ranges, odometry=truth, believed=truth, changed=run.n_scans)
-    thing = compose(truth[run.n_scans // 2], np.array([0.0, 0.8, 0.0]))[:2]
-    ranges = with_things(scans, run.sensor, thing[None]).ranges + 0.05
+    scans = Scans(stamps=run.stamps, poses=truth, ranges=run.ranges)
+    thing = compose(truth[run.n_scans // 2], np.array([0.0, 0.8, 0.0]))
+    ranges = with_things(scans, run.sensor, [(thing, RADIUS)], np.random.default_rng(0)) + 0.05
     run = replace(run, ranges=ranges, pose_stamps=run.stamps, poses=truth)
     walls = walls_of_place(arena_named(str(office_seed))).walls
 
     def answer() -> dict[str, float]:
         found = changed_places(run, walls)
-        near = np.hypot(*(found.new - thing).T) < 0.5
+        near = np.hypot(*(found.new - thing[:2]).T) < 0.5
         offset = np.nan if found.offset is None else found.offset[0]
         return {
             "thing missed": float(not near.any()), "other cells": float((~near).sum() + len(found.gone)),
