@@ -10,6 +10,7 @@ from localization_samples import ROOM, loop_poses, room_run
 from watching_samples import believing, graph
 
 import sensorgraph as sg
+from sensorgraph.watching.place import distance_to_outline
 from sensorgraph.watching.place_cells import ChangeCells, ThingCells
 from sensorgraph.watching.place_changes import PlaceChange, moved_things, things_in
 from sensorgraph.watching.settings import PLACE
@@ -101,3 +102,13 @@ def test_the_box_of_the_room_that_moved_is_one_change_with_its_distance() -> Non
     assert "1 moved (by 0." in end.sentences()[1]
     told = end.to_dict()["place"]["moved"][0]
     assert told["distance_m"] == pytest.approx(end.moved[0].distance, abs=1e-3)
+
+
+def test_a_reading_at_grazing_incidence_is_off_the_wall_by_its_distance_to_the_wall_and_not_along_the_ray() -> (
+    None
+):
+    bearings = np.linspace(0.05, 0.3, 20)
+    wall = np.column_stack([1.0 / np.tan(bearings), np.ones(20)])
+    short = 0.97 * wall  # a wall that is 3 cm nearer
+    assert np.hypot(*(wall - short)[0]) > 0.5
+    assert distance_to_outline(short, wall, np.ones(20, dtype=np.bool_))[:-1] == pytest.approx(0.03, abs=1e-9)

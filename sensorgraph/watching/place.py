@@ -8,8 +8,9 @@ that ends in a cell has the density
     s p + (1 - s) p_0                        if the place is as the graph knows it.
 
 The last one is a mean over the distribution of the pose, since at an edge, centimetres decide which surface a ray meets. The
-logarithm of the ratio is evidence for a change. Only readings that the graph does not predict count: it does not state how it
-errs. A ray that passes through a cell, or ends at the predicted surface, is evidence against.
+logarithm of the ratio is evidence for a change. Only readings that the graph does not predict count, since it does not state how it
+errs, and only those that end away from the outline of the predicted scan: at grazing incidence, centimetres of a wall are
+decimetres of a reading. A ray that passes through a cell, or ends at the predicted surface, is evidence against.
 
 What changes for a while is no change of the place (`place_cells`): people are new for a while, and surfaces that the graph predicts
 wrongly from one side are gone until the robot sees them from another.
@@ -88,14 +89,15 @@ class Place:
         of_gone = np.logaddexp(math.log(share) - r.anywhere.log_survival(d), math.log(1 - share))
         self._cross(laser, way[returned], z[returned])
         ends, surfaces = laser[:2] + z[:, None] * way, laser[:2] + d[:, None] * way
-        is_new = is_odd & (z < d - s.least_difference) & r.seen.contains(ends)
+        is_odd[is_odd] = distance_to_outline(ends[is_odd], surfaces, returned) > s.least_difference
+        is_new = is_odd & (z < d) & r.seen.contains(ends)
         cells, which = self._cells(ends, is_new)
         self.new.add(cells, weight * (of_new - ratios)[which], stamp)
         for some in (self.new.cells, self.new.things):
             passed = self._passed(some, laser, z, returned, stamp)
             some.add(passed, np.full(len(passed), weight * PASSES), stamp)
         is_sure = returned & (expected.p_no_return[0] < 0.5)
-        is_gone = is_odd & is_sure & (z > d + s.least_difference)
+        is_gone = is_odd & is_sure & (z > d)
         cells, which = self._cells(surfaces, is_gone)
         agreeing, agrees = self._cells(surfaces, is_sure & (np.abs(z - d) < s.least_difference))
         is_asked = np.isin(agreeing, cells) | self.gone.is_doubtful(agreeing)
@@ -157,3 +159,14 @@ class Place:
         nearest = np.where(aside[0] < aside[1], beside[0], beside[1])
         meets = (aside.min(axis=0) * distance < side / 2) & (distance > CLOSEST) & returned[nearest]
         return np.asarray(cells[meets & (z[nearest] > distance + 2 * side)])
+
+
+def distance_to_outline(points: Floats, outline: Floats, is_known: Bools) -> Floats:
+    """Return the distances [m] (n,) of points (n, 2) to the line through the known ones of some points (m, 2)."""
+    line = outline[is_known]
+    start, way = line[:-1], np.diff(line, axis=0)
+    if len(points) == 0 or len(start) == 0:
+        return np.full(len(points), np.inf)
+    off = points[:, None] - start  # (n, n_pieces, 2)
+    share = (off * way).sum(axis=2) / np.maximum((way**2).sum(axis=1), 1e-12)
+    return np.asarray(np.linalg.norm(off - np.clip(share, 0.0, 1.0)[..., None] * way, axis=2).min(axis=1))

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.ndimage import label
+from scipy.ndimage import binary_dilation, label
 from scipy.optimize import linear_sum_assignment
 from scipy.special import expit
 
@@ -100,10 +100,12 @@ def things_in(
         return []
     at = np.column_stack(np.unravel_index(found, shape))
     first = at.min(axis=0)
-    is_changed = np.zeros(at.max(axis=0) - first + 1, dtype=np.bool_)
-    is_changed[tuple((at - first).T)] = True
-    number_of, n = label(is_changed, structure=np.ones((3, 3)))
-    numbers = number_of[tuple((at - first).T)]
+    is_changed = np.zeros(at.max(axis=0) - first + 3, dtype=np.bool_)
+    where = tuple((at - first + 1).T)
+    is_changed[where] = True
+    beside = np.ones((3, 3), dtype=np.bool_)  # two sides of one thing, of which the inside is not seen
+    number_of, n = label(binary_dilation(is_changed, beside), structure=beside)
+    numbers = number_of[where]
     out = []
     for k in range(1, n + 1):
         own, there = found[numbers == k], at[numbers == k]

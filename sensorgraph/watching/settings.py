@@ -110,7 +110,7 @@ class PlacePriors:
     stay: float = 45.0
     """[s] Mean time for which a cell is changed for a while: a person stays, or the robot sees it from one side."""
     least_difference: float = 0.15
-    """[m] A reading that ends closer to the predicted surface does not show a change."""
+    """[m] A reading that ends closer to the outline of the predicted scan does not show a change."""
     pass_gap: float = 10.0
     """[s] Time without a change in sight after which another pass is counted."""
     least_cells: int = 2
