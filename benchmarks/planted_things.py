@@ -26,6 +26,8 @@ IN_SIGHT, CLEAR, APART = 4.0, 0.35, 1.5
 """[m] Distance at which a thing counts as in sight; of its rim from walls and from the path; between things."""
 LEAST_RAYS, LEAST_SCANS = 3, 20
 """Rays that show a thing in a scan; scans of the first half that do, from which its graph can know it."""
+COMPARED = 5.0
+"""[m] Distance from which the readings of both halves are compared."""
 GAP = 10.0
 """[s] out of sight, after which another pass begins."""
 
@@ -191,13 +193,14 @@ def chosen_things(
 
 def share_ending(at: Floats, scans: Scans, sensor: RangeSensor) -> float:
     """Return the share of the rays that come to a place (2,) which end there and do not pass; nan if none comes."""
-    close = Scans(**{name: getattr(scans, name)[near(at, scans)] for name in ("stamps", "poses", "ranges")})
+    is_close = np.hypot(*(scans.poses[:, :2] - at).T) < COMPARED
+    close = Scans(**{name: getattr(scans, name)[is_close] for name in ("stamps", "poses", "ranges")})
     lasers = compose(close.poses, np.tile(sensor.mount, (len(close.poses), 1)))
     angles, off = lasers[:, 2:] + sensor.bearings, at - lasers[:, :2]
     along = off[:, :1] * np.cos(angles) + off[:, 1:] * np.sin(angles)
     aside = off[:, :1] * np.sin(angles) - off[:, 1:] * np.cos(angles)
-    comes = (np.abs(aside) < 0.1) & (along > 0.3) & np.isfinite(close.ranges)
-    ends = comes & (np.abs(close.ranges - along) < 0.15)
+    comes = (np.abs(aside) < 0.08) & (along > 0.3) & np.isfinite(close.ranges)
+    ends = comes & (np.abs(close.ranges - along) < 0.12)
     passes = comes & (close.ranges > along + 0.25)
     n = int(ends.sum() + passes.sum())
     return float(ends.sum() / n) if n else np.nan
