@@ -1,4 +1,4 @@
-"""Watch a robot in MuJoCo that meets a moved shelf, is carried away, and gets a thumb on its laser."""
+"""Watch a robot in MuJoCo that is carried away, meets a moved shelf, and gets a thumb on its laser."""
 
 import json
 import subprocess
@@ -23,7 +23,7 @@ def drive(arena, name):
 
 
 # Build the graph of the office from a drive in MuJoCo.
-sg.plan("office", views=8).save("plan")
+sg.plan("office", views=16).save("plan")
 graph = sg.build(drive("office", "yesterday"))
 
 # Today a shelf stands 60 cm further into the room.
@@ -36,7 +36,8 @@ Path("today.geojson").write_text(json.dumps(arena))
 run = drive("today.geojson", "today")
 scans = list(observations(run))  # stamp, ranges, odometry, and the pose that the robot believes
 
-# Somebody carries the robot away, as far as it drives in 25 s. Its belief goes on from where it was.
+# Somebody carries the robot away, as far as it drives in 25 s. Its belief goes on from where it was, until somebody corrects
+# it after 20 s.
 lifted, put = (int(np.searchsorted(run.stamps, t)) for t in (50.0, 75.0))
 before, after = scans[lifted], scans[put]
 carried = [
@@ -44,7 +45,9 @@ carried = [
         one,
         stamp=one.stamp - 25.0,
         odometry=compose(before.odometry, compose(invert(after.odometry), one.odometry)),
-        believed=compose(before.believed, compose(invert(after.believed), one.believed)),
+        believed=one.believed
+        if one.stamp > after.stamp + 20.0
+        else compose(before.believed, compose(invert(after.believed), one.believed)),
     )
     for one in scans[put:]
 ]
