@@ -21,7 +21,7 @@ from sensorgraph.watching.summary import ROWS, words_of
 COLOURS = {
     "ok": (60, 150, 175), "unknown": (110, 115, 130), "ambiguous": (224, 160, 48), "off": (209, 52, 91), "lost": (150, 30, 70),
 }  # fmt: skip
-OUTLINES = {"new": (209, 52, 91), "gone": (90, 130, 240)}
+OUTLINES = {"new": (209, 52, 91), "gone": (90, 130, 240), "moved": (170, 110, 190)}
 ARROW = 0.6
 """[m] Length of the arrow of the robot."""
 PATH = "plan/path"
@@ -84,6 +84,8 @@ class WatchRecording:
             self._outlined = outlined
             for kind, colour in OUTLINES.items():
                 lines = [line for one in status.changes if one.kind == kind for line in one.outlines]
+                if kind == "moved":
+                    lines = [np.array([one.gone.centre, one.new.centre]) for one in status.moved]
                 self._log(f"plan/{kind}", rr.LineStrips2D(lines, colors=colour, radii=-2.0))
 
     def _add_pose(self, status: WatchStatus, word: str) -> None:
@@ -111,7 +113,7 @@ def _layout(walls: Floats) -> rrb.Blueprint:
         timeline="time", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
     plan = rrb.Spatial2DView(
-        name="teal ok, grey outside the graph, orange ambiguous, pink off, dark lost; pink outlines new, blue gone",
+        name="teal ok, grey outside the graph, orange ambiguous, pink off, dark lost; pink outlines new, blue gone, violet moved",
         origin="/", contents=["/plan/**"], background=BACKGROUND, overrides={PATH: whole},
         visual_bounds=rrb.VisualBounds2D(x_range=[x0, x1], y_range=[-y1, -y0]),
     )  # fmt: skip
