@@ -21,8 +21,8 @@ class Label:
     """[SI] Standard error that every log has at least; two drives of one robot differ by as much."""
 
     def change(self, size: float, sigma: float) -> str:
-        """Return a change with its standard error, in the unit."""
-        digits = 2 if self.factor * sigma < 0.1 else 1
+        """Return a change with its standard error, of which one digit at least is shown, in the unit."""
+        digits = next((n for n in (1, 2) if self.factor * sigma >= 10.0**-n), 3)
         value = f"{self.factor * size:+.{digits}f}".replace("-", "−")
         unit = self.unit if self.unit.startswith("°") else f" {self.unit}"
         return f"{value}{unit} ± {self.factor * sigma:.{digits}f}{unit}"
