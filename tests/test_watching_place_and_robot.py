@@ -16,6 +16,7 @@ from logs.transforms import compose
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, doubt_of
 from sensorgraph.watching.laser_errors import MissingReturns, in_a_block
 from sensorgraph.watching.odometry_errors import OdometryErrors
+from sensorgraph.watching.page import _size
 from sensorgraph.watching.policy import healthy
 from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS
 from sensorgraph.watching.status import WatchStatus
@@ -306,3 +307,12 @@ def test_odometry_that_neither_slip_nor_an_encoder_explains_is_unlike_the_motion
     end = last(replace(run, odometry=run.odometry[:, [1, 0, 2]]))
     fault = next(fault for fault in end.faults if fault.name == "odometry_unlike_motion")
     assert 0.3 < fault.parameters["share"] <= 1.0
+
+
+def test_the_page_states_no_size_that_the_drive_does_not_show() -> None:
+    """A robot that only stood had wheels of −382 ± 2010 % on its page."""
+    for error, shown in ((20.1, "not shown by this drive"), (0.004, "wheel radius +1.2 ± 0.4 %")):
+        doubt = FaultDoubt(
+            name="wheel_radius", p=0.0, parameters={"scale": 0.012}, stderr={"scale": error}, nats=0.0
+        )
+        assert _size(doubt) == shown

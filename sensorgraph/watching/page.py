@@ -10,6 +10,8 @@ import numpy as np
 from sensorgraph.diagnosis.report.quantities import minus
 from sensorgraph.show.page_shell import page_shell
 from sensorgraph.types import Floats
+from sensorgraph.watching.evidence import FaultDoubt
+from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS, MISSING_FAULT
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.summary import PageData, Span
 
@@ -22,6 +24,8 @@ WIDTH, ROW, LEFT = 900, 34, 70
 STEPS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600)
 """[s] between the labels of the time line; above an hour, whole hours."""
 MOST_LABELS = 8
+USUAL_SIZES = {fault.name: fault.size for fault in (*DISTANCE_FAULTS, *LASER_FAULTS, MISSING_FAULT)}
+"""Standard deviation of the size of a fault; a drive with a larger standard error does not show it."""
 
 
 def watch_page(data: PageData) -> str:
@@ -145,7 +149,7 @@ def _changes(last: WatchStatus) -> str:
 
 def _robot(last: WatchStatus) -> str:
     rows = "".join(
-        f"<tr><td><code>{escape(doubt.name)}</code></td><td>{escape(doubt.sentence())}</td>"
+        f"<tr><td><code>{escape(doubt.name)}</code></td><td>{escape(_size(doubt))}</td>"
         f'<td class="n">{doubt.p:.3f}</td><td class="n">{minus(f"{doubt.nats:.1f}")}</td></tr>'
         for doubt in last.doubts
     )
@@ -154,6 +158,11 @@ def _robot(last: WatchStatus) -> str:
         "<th class='n'>evidence [nats]</th></tr>"
         f"{rows}</table>"
     )
+
+
+def _size(doubt: FaultDoubt) -> str:
+    is_hidden = max(doubt.stderr.values(), default=0.0) > USUAL_SIZES.get(doubt.name, np.inf)
+    return "not shown by this drive" if is_hidden else doubt.sentence()
 
 
 def _notes(notes: Sequence[str]) -> str:

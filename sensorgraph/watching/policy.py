@@ -75,9 +75,9 @@ class WatchPolicy:
                 )
         if pose.status == "ambiguous":
             reasons.append(("warning", f"pose {pose.sentence()}"))
-        if status.n_changes > self.n_changes:
+        if (n := status.n_changes) > self.n_changes:
             reasons.append(
-                ("warning", f"place: {status.n_changes} changes, expected at most {self.n_changes}")
+                ("warning", f"place: {n} change{'s' * (n != 1)}, expected at most {self.n_changes}")
             )
         for doubt in status.doubts:
             if doubt.p > MAJORITY and doubt.name not in self.ignored:
