@@ -47,7 +47,6 @@ from sensorgraph.models.calibration.pose_refinement import (
 from sensorgraph.models.calibration.ray_terms import RayTerms
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.fit import FittedFaces, draft_faces, fit_faces, moved_faces
-from sensorgraph.models.faces.forward_selection import coarseness
 from sensorgraph.models.faces.observed_space import ObservedSpace
 from sensorgraph.models.faces.ray_march import FaceSet
 from sensorgraph.models.faces.reduction import RaySample
@@ -118,8 +117,8 @@ def rays_beside_faces(
 
 
 def calibrate_faces(
-    sample: RaySample, sensor: RangeSensor, mount: Floats, fitted: FittedFaces, *, can_mount: bool = True,
-    calibrate: bool | None = None, progress: ProgressBars = no_progress,
+    sample: RaySample, sensor: RangeSensor, mount: Floats, fitted: FittedFaces, *, coarse: int = 1,
+    can_mount: bool = True, calibrate: bool | None = None, progress: ProgressBars = no_progress,
 ) -> CalibratedFaces:  # fmt: skip
     """Identify the laser of a sample and fit the faces again with it, if the evidence supports a calibration.
 
@@ -127,12 +126,13 @@ def calibrate_faces(
     ----------
     mount : (3,) [m, m, rad] Specified mount.
     fitted : Faces fitted with the laser as specified.
+    coarse : `coarseness` of the laser.
     can_mount : Whether the poses are those of a base that carries the laser. False: they are the laser's own.
     calibrate : None: decide by evidence. True or False: always or never.
     """
     readings, poses = readings_of(sample, sensor)
     work = _JointCalibration(readings, poses, mount, can_mount=can_mount)
-    work.weights, work.coarse = sample.weights, coarseness(sample.noise(sensor.bearings))
+    work.weights, work.coarse = sample.weights, coarse
     work.set_faces(fitted)
     with progress("testing the laser", "%") as tick:
         should_calibrate = calibrate is not False and work.should_calibrate(

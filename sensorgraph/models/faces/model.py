@@ -126,16 +126,13 @@ class Faces(FacesData):
         if measures_cones(sensor):
             return cls(**_fit_cones(reduced, sensor, mount, can_mount=can_mount, progress=progress))
         rays = reduced.sample.rays(sensor, mount)
+        coarse = coarseness(reduced.sample.noise(sensor.bearings))
         with progress("fitting faces", "%") as tick:
-            fitted = fit_faces(
-                rays,
-                hit_moments=reduced.hit_moments,
-                coarse=coarseness(reduced.sample.noise(sensor.bearings)),
-                progress=tick,
-            )
+            fitted = fit_faces(rays, hit_moments=reduced.hit_moments, coarse=coarse, progress=tick)
         found = calibrate_faces(
-            reduced.sample, sensor, mount, fitted, can_mount=can_mount, calibrate=calibrate, progress=progress
-        )
+            reduced.sample, sensor, mount, fitted, coarse=coarse, can_mount=can_mount, calibrate=calibrate,
+            progress=progress,
+        )  # fmt: skip
         if not found.calibration.is_as_stated and len(found.rays) == reduced.n_rays:
             # for a larger log, the grid of all rays, a few cm off, is more complete than that of a sample
             reduced = replace(reduced, observed=observed_by(found.rays))

@@ -15,6 +15,7 @@ import rerun.blueprint as rrb
 
 from sensorgraph.show.rerun_file import BACKGROUND, ORANGE, WALL, WHITE, folded, recorded, streamed
 from sensorgraph.types import Floats
+from sensorgraph.watching.messages import outlines_of
 from sensorgraph.watching.status import WatchStatus
 from sensorgraph.watching.summary import ROWS, words_of
 
@@ -79,13 +80,12 @@ class WatchRecording:
                 since = status.pose.since - self._first if row == "pose" else t
                 page = f"**{word}** since {since:.0f} s\n\n{text}"
                 self._log(f"said/{row}", rr.TextDocument(page, media_type="text/markdown"))
-        outlined = [line.tobytes() for one in status.changes for line in one.outlines]
+        markers = outlines_of(status)
+        outlined = [one.points.tobytes() for one in markers]
         if outlined != self._outlined:
             self._outlined = outlined
             for kind, colour in OUTLINES.items():
-                lines = [line for one in status.changes if one.kind == kind for line in one.outlines]
-                if kind == "moved":
-                    lines = [np.array([one.gone.centre, one.new.centre]) for one in status.moved]
+                lines = [one.points for one in markers if one.namespace == kind]
                 self._log(f"plan/{kind}", rr.LineStrips2D(lines, colors=colour, radii=-2.0))
 
     def _add_pose(self, status: WatchStatus, word: str) -> None:
