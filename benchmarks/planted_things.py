@@ -70,12 +70,16 @@ class Thing:
         return f"{self.kind}{way}, {what}, at ({x:.1f}, {y:.1f}) m"
 
 
+def by_rays(at: Floats, lasers: Floats, bearings: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return cosine and sine of the rays of lasers (n, 3), and the way [m] along and aside of them to a place (2,); (n, n_rays)."""
+    angles, off = lasers[:, 2:] + bearings, at - lasers[:, :2]
+    cos, sin = np.cos(angles), np.sin(angles)
+    return cos, sin, off[:, :1] * cos + off[:, 1:] * sin, off[:, :1] * sin - off[:, 1:] * cos
+
+
 def reach(place: Floats, radius: float, lasers: Floats, bearings: Floats) -> Floats:
     """Return the ranges (n, n_rays) [m] at which rays of lasers (n, 3) meet a thing at a place (3,); inf: they do not."""
-    angles = lasers[:, 2:] + bearings
-    cos, sin = np.cos(angles), np.sin(angles)
-    off = place[:2] - lasers[:, :2]
-    along, aside = (off[:, :1] * cos + off[:, 1:] * sin), (off[:, :1] * sin - off[:, 1:] * cos)
+    cos, sin, along, aside = by_rays(place[:2], lasers, bearings)
     if radius:
         meets = np.abs(aside) < radius
         r = along - np.sqrt(np.where(meets, radius**2 - aside**2, 0.0))
@@ -196,9 +200,7 @@ def share_ending(at: Floats, scans: Scans, sensor: RangeSensor) -> float:
     is_close = np.hypot(*(scans.poses[:, :2] - at).T) < COMPARED
     close = Scans(**{name: getattr(scans, name)[is_close] for name in ("stamps", "poses", "ranges")})
     lasers = compose(close.poses, np.tile(sensor.mount, (len(close.poses), 1)))
-    angles, off = lasers[:, 2:] + sensor.bearings, at - lasers[:, :2]
-    along = off[:, :1] * np.cos(angles) + off[:, 1:] * np.sin(angles)
-    aside = off[:, :1] * np.sin(angles) - off[:, 1:] * np.cos(angles)
+    _, _, along, aside = by_rays(at, lasers, sensor.bearings)
     comes = (np.abs(aside) < 0.08) & (along > 0.3) & np.isfinite(close.ranges)
     ends = comes & (np.abs(close.ranges - along) < 0.12)
     passes = comes & (close.ranges > along + 0.25)

@@ -340,14 +340,12 @@ def policy_part(data: Halves) -> None:
     policy = learn([list(watch_scans(data.graph, good_run(data).observations(), sensor))])
     print(f"{60 * policy.hours:.1f} min of good runs: {policy.to_dict()}")
     watched = clean_scans(data, driven(data.second), np.flatnonzero(np.isfinite(data.truth[:, 0])))
-    hours, seconds = float(np.ptp(watched.stamps)) / 3600, Counter[str]()
-    begun: Counter[str] = Counter()
+    hours, seconds, begun = float(np.ptp(watched.stamps)) / 3600, Counter[str](), Counter[str]()
     named: dict[str, str] = {}
     before: set[str] = set()
     for status in watch_scans(data.graph, watched.observations(), sensor, baseline=policy.baseline):
-        level, _ = policy.level(status)
         now = {f"{reason.split()[0].rstrip(':')} {each}" for each, reason in policy.reasons(status)}
-        seconds.update([level, *now, *(fault.name for fault in status.faults)])
+        seconds.update([policy.level(status)[0], *now, *(fault.name for fault in status.faults)])
         named.update({fault.name: fault.sentence() for fault in status.faults})
         begun.update(now - before)
         before = now
@@ -392,14 +390,10 @@ def main() -> None:
     print(
         f"{options.log.name}: {data.second.n_scans:,} scans, {data.covered.mean():.0%} covered by the graph"
     )
-    if options.part == "clean":
-        clean_part(data)
-    elif options.part == "policy":
-        policy_part(data)
-    elif options.part == "latency":
-        latency_part(data)
-    else:
+    if options.part == "pose":
         pose_part(data, options.n, np.random.default_rng(0))
+    else:
+        {"clean": clean_part, "latency": latency_part, "policy": policy_part}[options.part](data)
 
 
 if __name__ == "__main__":

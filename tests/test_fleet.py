@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import further
-from localization_samples import ROOM, looking_about, room_run
 
 import logs
 import sensorgraph as sg
@@ -23,7 +22,6 @@ from logs.run import Run
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.surveying import limited
-from sensorgraph.surveying.building import changed_places
 from sensorgraph.surveying.causes import Series, changes_of_wheels
 from sensorgraph.surveying.cluster import cluster, task
 from sensorgraph.surveying.limited import (
@@ -358,19 +356,6 @@ def test_what_fails_every_log_is_refused_and_an_unreadable_log_is_a_line(
     assert log.endswith("x.mcap") and reason == "cannot be read: Permission denied"
 
 
-def test_a_located_pose_does_not_absorb_an_offset_of_the_ranges() -> None:
-    """A laser that looks ahead and measures 8.7 cm too long seems to stand 11 cm further back."""
-    run = recorded()
-    arena = sg.load_arena("square")
-    phi = run.poses[:, 2]
-    back = run.poses - 0.11 * np.column_stack([np.cos(phi), np.sin(phi), np.zeros(len(phi))])
-    for poses, offset in ((run.poses, 0.0), (back, 0.087)):
-        worn = replace(run, ranges=run.ranges + offset, poses=poses)
-        found = changed_places(worn, arena.walls).offset
-        assert found is not None
-        assert abs(found[0] - offset) < max(4 * found[1], 0.004)
-
-
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("sensorgraph.dask_client.CONNECT_TIMEOUT", 0.5)
@@ -392,16 +377,3 @@ def test_the_local_cluster_listens_only_on_this_machine() -> None:
     with cluster(None, 1):
         opened = listening() - before
     assert opened and {address for address, _ in opened} <= {"127.0.0.1", "::1"}
-
-
-def test_a_thing_that_was_taken_away_is_gone_and_the_edges_of_others_are_not() -> None:
-    """With poses that are 1 cm off, rays pass the edges of a box that the map predicts."""
-    poses = looking_about(np.arange(0.0, 40.0, 0.2))
-    run = room_run(poses, n_rays=180)
-    off = 0.01 * np.random.default_rng(0).standard_normal(poses.shape)
-    run = replace(run, pose_stamps=run.stamps, poses=poses + off)
-    room = np.array(ROOM).reshape(-1, 2, 2)
-    assert len(changed_places(run, room).gone) == 0
-    box = np.array([(6.0, 1.0, 6.5, 1.0), (6.5, 1.0, 6.5, 1.5), (6.5, 1.5, 6.0, 1.5), (6.0, 1.5, 6.0, 1.0)])
-    gone = changed_places(run, np.concatenate([room, box.reshape(-1, 2, 2)])).gone
-    assert len(gone) and np.abs(gone - [6.25, 1.25]).max() < 0.5
