@@ -13,7 +13,7 @@ from localization_samples import loop_poses, room_run, seen
 from logs.motion import Motion
 from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
-from sensorgraph.localization import ray_times
+from sensorgraph.localization import tracked_run
 from sensorgraph.localization.bearing_scale import estimated_scale
 from sensorgraph.localization.locate import locate, located_run
 from sensorgraph.localization.turning_pieces import TimeEstimate, TurningPieces, sweep_basis
@@ -36,7 +36,7 @@ def front() -> Run:
 def _sought(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the search for older rays, four fifths of the time, which the claim is not about, in the quick suite."""
     if request.param == "bearings":
-        monkeypatch.setattr("sensorgraph.localization.ray_times.identify_older_rays", lambda *_: None)
+        monkeypatch.setattr("sensorgraph.localization.tracked_run.identify_older_rays", lambda *_: None)
 
 
 @pytest.mark.usefixtures("_sought")
@@ -110,7 +110,14 @@ def test_a_view_that_shows_any_step_leaves_the_bearings() -> None:
     class Anything:
         def estimate(self, basis: Floats, bearings: Floats) -> TimeEstimate:
             k = basis.shape[1] + bearings.shape[1]
-            return TimeEstimate(change=np.full(k, -1.2), covariance=np.eye(k), information=np.eye(k))
+            one = np.eye(k)
+            return TimeEstimate(
+                change=np.full(k, -1.2),
+                covariance=one,
+                information=one,
+                range_offset=0.0,
+                range_offset_sd=1.0,
+            )
 
     start: Any = Anything()
     motion: Any = None
@@ -130,16 +137,18 @@ def test_noise_of_the_ranges_neither_stretches_nor_delays_the_rays(monkeypatch: 
     """The error of a range is in its residual and in the derivatives at the measured point: their product has a mean."""
     found: list[TimeEstimate] = []
 
-    def estimated(sensor: RangeSensor, pieces: TurningPieces, motion: Motion, _: float | None) -> Any:
+    def estimated(
+        sensor: RangeSensor, pieces: TurningPieces, motion: Motion, _: float | None, *, is_given: bool
+    ) -> Any:
         bearings = (sensor.bearings - sensor.bearings.mean())[:, None]
         start = pieces.linearised(sensor.ray_delays, motion)
         found.append(start.estimate(sweep_basis(sensor.n_rays), bearings))
-        return sensor, ()
+        return sensor, None, ()
 
-    monkeypatch.setattr(ray_times, "_corrected", estimated)
+    monkeypatch.setattr(tracked_run, "_corrected", estimated)
     run = room_run(loop_poses(120), n_rays=360, sigma=0.03, seed=1)
     ahead = np.abs(run.sensor.bearings) <= np.pi / 2
     sensor = replace(run.sensor, bearings=run.sensor.bearings[ahead])
-    ray_times.track_run(replace(run, sensor=sensor, ranges=np.ascontiguousarray(run.ranges[:, ahead])))
+    tracked_run.track_run(replace(run, sensor=sensor, ranges=np.ascontiguousarray(run.ranges[:, ahead])))
     errors = found[0].change / np.sqrt(np.diag(found[0].covariance))
     assert np.abs(errors[[0, -1]]).max() < 3  # sweep, and step of the bearings

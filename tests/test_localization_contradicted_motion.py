@@ -12,7 +12,7 @@ from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.locate import locate
 from sensorgraph.localization.moving_returns import with_motion_of_scans
-from sensorgraph.localization.ray_times import track_run
+from sensorgraph.localization.tracked_run import track_run
 from sensorgraph.types import Floats
 
 STAMPS, FINE, SWEEP = np.arange(0.0, 16.0, 0.1), np.arange(0.0, 16.2, 0.02), 0.1

@@ -18,7 +18,7 @@ from logs.run import RangeSensor, Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.localization.locate import LocatedRun, locate, located_run
 from sensorgraph.localization.older_rays import best_part
-from sensorgraph.localization.ray_times import TrackedRun, track_run
+from sensorgraph.localization.tracked_run import TrackedRun, track_run
 from sensorgraph.localization.turning_pieces import DELAY_SD, TurningPieces, sweep_basis
 from sensorgraph.types import Floats
 

@@ -17,9 +17,10 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.estimate import calibrate
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
 from sensorgraph.localization.locate import locate, located_run, summary
-from sensorgraph.localization.ray_times import TrackedRun, _judge, hypotheses, track_run
+from sensorgraph.localization.ray_times import _judge, hypotheses
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scan_lag import ScanLag, with_stamp_of
+from sensorgraph.localization.tracked_run import TrackedRun, track_run
 from sensorgraph.show.figures.localization import _returns
 from sensorgraph.types import Floats
 
@@ -59,7 +60,7 @@ def interlaced(way: float = 1.0) -> Floats:
 def _sought(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the search for older rays, a fit or more of the track, in the quick suite; it has tests of its own."""
     if request.node.get_closest_marker("slow") is None:
-        monkeypatch.setattr("sensorgraph.localization.ray_times.identify_older_rays", lambda *_: None)
+        monkeypatch.setattr("sensorgraph.localization.tracked_run.identify_older_rays", lambda *_: None)
 
 
 def followed(run: Run) -> TrackedRun:

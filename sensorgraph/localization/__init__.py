@@ -14,8 +14,8 @@
     Points in hash buckets with the line around a position; match of one scan to them: pose, information, inliers.
 `front_end`, `scan_track`, `wheels`
     Laser odometry: each scan is matched to the last key frames; its result; scales and heading bias of the odometry.
-`ray_times`, `turning_pieces`, `older_rays`, `bearing_scale`, `scan_lag`
-    Time of each ray, step of the bearings and lag of the scans, from the run itself.
+`tracked_run`, `ray_times`, `turning_pieces`, `older_rays`, `bearing_scale`, `range_offset`, `scan_lag`
+    Time of each ray, step of the bearings, offset of the ranges and lag of the scans, from the run itself.
 `contrast`, `moving_returns`
     Where scans and odometry contradict each other, and which of the two is right.
 `submaps`, `loop_closures`, `pose_graph`

@@ -17,13 +17,13 @@ from sensorgraph.localization.map_check import DRIVE_SCANS, best_fit, looks, mir
 from sensorgraph.localization.map_tracking import REMATCH_DEVIATIONS, MapMatches, MapTracker, rematch
 from sensorgraph.localization.matching import CORRELATION
 from sensorgraph.localization.moving_returns import with_motion_of_scans
-from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.result import Localization, Status, interval_notes
 from sensorgraph.localization.rival_places import rivals_of_drives
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FRONT_END, GLOBAL_SEARCH, MAP_TRACKING
 from sensorgraph.localization.smoothing import smooth, steps_of
+from sensorgraph.localization.tracked_run import track_run
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.models.seen_space import SeenSpace
 from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
@@ -32,6 +32,8 @@ MIRROR_LOOKS = 2
 """Number of short drives that are searched as seen in a mirror."""
 MIRROR_LEAD = 0.2
 """Minimum lead of a mirrored fit."""
+OFFSET_SCANS = 100
+"""Number of scans that show how much of an offset of the ranges the map has, too."""
 
 
 def locate_in_map(
@@ -63,7 +65,7 @@ def locate_in_map(
         if fit < MAP_TRACKING.near_fit:
             raise SensorgraphError(_no_fit(run, place, fit, name))
     followed = with_motion_of_scans(track_run(run, progress), progress)
-    odometry, scans, steps = followed.odometry, followed.scans, followed.track
+    odometry, scans, steps, offset = followed.odometry, followed.scans, followed.track, followed.offset
     with progress(f"locating in {name}", "scans") as tick:
         found = MapTracker(scans, run.stamps, steps, place).run(tick)
     if np.isnan(found.poses[:, 0]).all():
@@ -72,7 +74,10 @@ def locate_in_map(
             raise SensorgraphError(_no_fit(run, place, max(fit, found.best_fit), name))
     with progress("comparing with other places", "scans") as tick:
         is_rivalled, others = rivals_of_drives(found, tick)
-    poses = _filled(found, steps)
+    poses, of_ranges = _filled(found, steps), tuple[str, ...]()
+    if offset is not None:
+        corrected = _seen_against(place, scans, found.poses, offset.value)
+        scans, of_ranges = scans.lengthened(offset.value - corrected), (offset.line_in_map(name, corrected),)
     with progress("smoothing", "scans") as tick:
         start = _smoothed(poses, steps, found.breaks, found.poses, found.information)[0]
         start[np.isnan(found.poses[:, 0])] = np.nan
@@ -93,9 +98,41 @@ def locate_in_map(
         status=status,
         wheels=wheels,
         rivals=found.rivals | others,
-        notes=(*notes, *contrast, *followed.notes, *interval_notes(run.stamps, status, "lost", "ambiguous")),
+        notes=(
+            *notes,
+            *contrast,
+            *followed.notes,
+            *of_ranges,
+            *interval_notes(run.stamps, status, "lost", "ambiguous"),
+        ),
         sensor=followed.run.sensor,
+        range_offset=0.0 if offset is None else offset.value,
     )
+
+
+def _seen_against(place: KnownMap, scans: ScanPoints, poses: Floats, offset: float) -> float:
+    """Return the part of an offset of the ranges [m] that the map does not have: none of it if the same laser drew the map.
+
+    The squared scatter of the returns about the walls is a parabola in the correction, and least at the right one.
+
+    Parameters
+    ----------
+    scans : Corrected by all of the offset.
+    poses : (n_scans, 3) [m, m, rad] nan: not located.
+    """
+    located = np.flatnonzero(np.isfinite(poses[:, 0]))
+    some = np.full_like(poses, np.nan)
+    chosen = located[evenly(len(located), OFFSET_SCANS)]
+    some[chosen] = poses[chosen]
+    squares = np.stack([
+        rematch(scans.lengthened(share * offset), some, place, lambda done, total: None).noise ** 2
+        for share in (1.0, 0.5, 0.0)  # corrected by none, half and all
+    ])  # fmt: skip
+    none, half, every = squares[:, np.isfinite(squares).all(axis=0)].sum(axis=1)
+    curvature = none - 2 * half + every
+    if curvature <= 0:
+        return offset if every < none else 0.0
+    return offset * float(np.clip(0.5 + 0.25 * (none - every) / curvature, 0.0, 1.0))
 
 
 def _smoothed(

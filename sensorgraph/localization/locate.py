@@ -26,6 +26,7 @@ from sensorgraph.localization.known_map import MapWalls
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import with_spread_stamps
 from sensorgraph.localization.odometry_check import check_turns, with_checked_odometry
+from sensorgraph.localization.range_offset import RANGE_OFFSET
 from sensorgraph.localization.result import Closure, Localization, stretches_of, true_intervals
 from sensorgraph.localization.robot_parts import without_robot_parts
 from sensorgraph.types import Floats, ProgressBars, no_progress
@@ -128,6 +129,9 @@ def located_run(run: Run, found: Localization) -> Run:
         raise SensorgraphError(
             f"no scan was located: {'; '.join(found.notes) or 'all are ' + found.status[0]}"
         )
+    meta = {key: value for key, value in run.meta.items() if key != RANGE_OFFSET}
+    if found.range_offset:
+        meta[RANGE_OFFSET] = f"{found.range_offset:.5f}"
     return replace(
         run,
         sensor=found.sensor or run.sensor,
@@ -135,7 +139,7 @@ def located_run(run: Run, found: Localization) -> Run:
         poses=found.poses[ok],
         pose_covariances=found.covariances[ok],
         pose_frame="base_link",
-        meta={**run.meta, "pose_source": POSE_SOURCE},
+        meta={**meta, "pose_source": POSE_SOURCE},
         attachments={**run.attachments, ATTACHMENT: (json.dumps(summary(found), indent=1) + "\n").encode()},
     )
 
@@ -204,6 +208,7 @@ def summary(found: Localization) -> dict[str, Any]:
         "ray_times": None if found.sensor is None or not found.sensor.has_ray_delays else {
             name: getattr(found.sensor, name) for name in ("sweep_time", *RARE_TIMES)
         },
+        "range_offset": found.range_offset,
         "notes": list(found.notes),
     }  # fmt: skip
 

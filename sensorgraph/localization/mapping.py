@@ -17,13 +17,13 @@ from sensorgraph.localization.map_states import map_numbers, map_states, state_n
 from sensorgraph.localization.matching import match
 from sensorgraph.localization.moving_returns import verdict_on, with_motion_of_scans, without_moving_returns
 from sensorgraph.localization.point_rows import FramePoints
-from sensorgraph.localization.ray_times import track_run
 from sensorgraph.localization.refinement import Refined, refine
 from sensorgraph.localization.result import Localization, Status
 from sensorgraph.localization.scan_track import ScanTrack, is_covered, settled, turn_matrices
 from sensorgraph.localization.scans import ScanPoints
 from sensorgraph.localization.settings import FRONT_END, MATCH, LineMatchSettings
 from sensorgraph.localization.smoothing import SmoothedPoses, smooth, steps_of
+from sensorgraph.localization.tracked_run import track_run
 from sensorgraph.localization.wheel_edges import WheelSteps
 from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
@@ -75,7 +75,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
     followed = with_motion_of_scans(track_run(run, progress), progress)
     followed = without_moving_returns(followed, progress)
-    odometry, scans, tracked = followed.odometry, followed.scans, followed.track
+    odometry, scans, tracked, offset = followed.odometry, followed.scans, followed.track, followed.offset
     if len(tracked.key_frames) == 0:
         return _without_returns(run, tracked)
     with progress("closing loops", "submaps") as bar:
@@ -133,8 +133,10 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
             *state_notes(run.stamps, tracked, states),
             *contrast_notes(run, poses, odometry, states.status, wheels),
             *followed.notes,
+            *(() if offset is None else (offset.line,)),
         ),
         sensor=followed.run.sensor,
+        range_offset=0.0 if offset is None else offset.value,
     )
 
 

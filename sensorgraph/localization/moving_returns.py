@@ -29,10 +29,10 @@ from sensorgraph.localization.contrast import Contrast
 from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import is_measured, without_jumps
 from sensorgraph.localization.odometry import odometry_of
-from sensorgraph.localization.ray_times import TrackedRun, motion_of_track
 from sensorgraph.localization.result import WheelParameters, true_intervals
 from sensorgraph.localization.scans import NOISE_MARGIN, ScanPoints, crossed, moved_points, scan_points
 from sensorgraph.localization.settings import CLOSURES
+from sensorgraph.localization.tracked_run import TrackedRun, motion_of_track
 from sensorgraph.localization.wheels import corrected_steps
 from sensorgraph.types import Bools, Floats, Ints, ProgressBars, no_progress
 

@@ -95,6 +95,8 @@ class Localization:
     """Notes for the user, one line each."""
     sensor: RangeSensor | None = None
     """Sensor of the run with the identified ray times; None: unchanged."""
+    range_offset: float = 0.0
+    """[m] What the ranges are too long by, as the run shows; the poses are those of corrected ranges."""
 
     def __post_init__(self) -> None:
         n = len(self.t)

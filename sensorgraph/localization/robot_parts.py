@@ -20,7 +20,6 @@ from sensorgraph.localization.front_end import track_part
 from sensorgraph.localization.global_search import evenly
 from sensorgraph.localization.odometry import odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
-from sensorgraph.localization.ray_times import motion_of_track
 from sensorgraph.localization.scan_track import ScanTrack, determines_all, settled
 from sensorgraph.localization.scans import (
     MIN_VISIBLE,
@@ -31,6 +30,7 @@ from sensorgraph.localization.scans import (
     scan_points,
     view_of,
 )
+from sensorgraph.localization.tracked_run import motion_of_track
 from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Bools, Floats, Ints
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,6 +83,11 @@ class ScanPoints:
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
         return ScanPoints(first=first, **dict(zip(_COLUMNS, columns, strict=True)))
 
+    def lengthened(self, by: float) -> ScanPoints:
+        """Return the returns with ranges that are longer by a distance [m]."""
+        rays = (self.points - self.starts) / np.maximum(self.ranges, 1e-9)[:, None]
+        return replace(self, points=self.points + by * rays, ranges=self.ranges + by)
+
     def without(self, dropped: Bools) -> ScanPoints:
         """Return the returns without some of the points (n_points,)."""
         kept = ~dropped
@@ -103,9 +108,7 @@ def scan_points(
     """
     sensor = run.sensor
     delays = sensor.ray_delays if delays is None else delays
-    used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, SCANS.max_range))
-    if sensor.resolution > 0:  # the last step before range_max is often a missing return, rounded down
-        used &= run.ranges < sensor.range_max - sensor.resolution
+    used = is_used(run)
     starts = range(0, max(run.n_scans, 1), SCANS_PER_BLOCK)
     blocks = [
         _block(run, some, used[some], motion, delays, has_normals)
@@ -113,6 +116,15 @@ def scan_points(
     ]
     counts, *columns = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     return ScanPoints._of(counts, columns)
+
+
+def is_used(run: Run) -> Bools:
+    """Return which ranges (n_scans, n_rays) of a run are those of points."""
+    sensor = run.sensor
+    used = (run.ranges > sensor.range_min) & (run.ranges < min(sensor.range_max, SCANS.max_range))
+    if sensor.resolution > 0:  # the last step before range_max is often a missing return, rounded down
+        used &= run.ranges < sensor.range_max - sensor.resolution
+    return np.asarray(used)
 
 
 def _block(

@@ -62,7 +62,11 @@ class TimeEstimate:
     covariance: Floats
     """(k, k) [s²] cluster-robust over the pieces."""
     information: Floats
-    """(k, k) [1/s²] normal equations after projection on poses and lines."""
+    """(k, k) [1/s²] normal equations after projection on poses, lines and the offset of the ranges."""
+    range_offset: float
+    """[m] What the ranges are too long by ..."""
+    range_offset_sd: float
+    """[m] ... and its standard error."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,10 +87,19 @@ class LinearisedPieces:
     speeds: Floats
     """(n,) [m/s] Derivatives of the residuals with respect to the time of their ray ..."""
     turned: Floats
-    """(n,) [m/rad] ... and to its bearing."""
+    """(n,) [m/rad] ... its bearing ..."""
+    facing: Floats
+    """(n,) ... and its range."""
+
+    @property
+    def noise(self) -> float:
+        """[m] Standard deviation of a point about its patch."""
+        return float(1.0 / np.sqrt(np.median(self.system.rows.weight)))
 
     def estimate(self, basis: Floats, bearings: Floats | None = None) -> TimeEstimate:
         """Return the change of the delays in a basis (n_rays, k); with `bearings`, also that of these angles.
+
+        The ranges may all have the same offset.
 
         Parameters
         ----------
@@ -96,6 +109,7 @@ class LinearisedPieces:
         by = self.speeds[:, None] * basis[self.rays]
         if bearings is not None:
             by = np.column_stack([by, self.turned[:, None] * bearings[self.rays]])
+        by = np.column_stack([by, self.facing])
         n, m, weight = system.n_frames, rows.n_patches, rows.weight
         k = by.shape[1]
         by_pose = np.column_stack(
@@ -119,7 +133,13 @@ class LinearisedPieces:
         scores = np.stack([sums_by(self.piece, left * own[:, j], self.n_pieces) for j in range(k)])
         inverse = np.linalg.inv(matrix)
         covariance = inverse @ (scores @ scores.T * self.n_pieces / (self.n_pieces - 1) + ridge) @ inverse
-        return TimeEstimate(change=change, covariance=covariance, information=matrix)
+        return TimeEstimate(
+            change=change[:-1],
+            covariance=covariance[:-1, :-1],
+            information=np.linalg.inv(inverse[:-1, :-1]),
+            range_offset=-float(change[-1]),
+            range_offset_sd=float(np.sqrt(covariance[-1, -1])),
+        )
 
 
 def sweep_basis(n_rays: int) -> Floats:
@@ -200,6 +220,7 @@ class TurningPieces:
             preconditioner=refined.preconditioner,
             speeds=self._speeds(rows, poses, motion),
             turned=_turned(rows, poses, scans.starts[rows.index]),
+            facing=np.einsum("ni,ni->n", rows.normals, frames.placed(poses)[2][rows.index]),
         )
 
     def _speeds(self, rows: PointRows, poses: Floats, motion: Motion) -> Floats:

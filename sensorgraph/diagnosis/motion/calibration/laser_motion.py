@@ -19,6 +19,7 @@ from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.odometry_check import with_checked_odometry
 from sensorgraph.localization.point_rows import FramePoints
 from sensorgraph.localization.pose_graph import PoseEdges
+from sensorgraph.localization.range_offset import with_right_ranges
 from sensorgraph.localization.refinement import Refined, edge_system, refine
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.localization.wheel_edges import WheelSteps
@@ -97,14 +98,15 @@ def laser_motion(
     Parameters
     ----------
     run : As it was logged, with its odometry.
-    located : The same run with the poses of `locate`, at which the fit starts, and with the ray times that it shows.
+    located : The same run with the poses of `locate`, at which the fit starts, and with the ray times and the offset of the
+        ranges that it shows.
 
     Raises
     ------
     SensorgraphError : The run has no odometry.
     """
     run, odometry = with_moving_odometry(run)
-    run = replace(run, sensor=replace(located.sensor, mount=run.sensor.mount))
+    run = with_right_ranges(replace(run, sensor=replace(located.sensor, mount=run.sensor.mount)), located)
     odometry[:, 2] = np.unwrap(odometry[:, 2])
     paired = pair(located)
     length = _lengths(odometry)
