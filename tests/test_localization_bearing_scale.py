@@ -16,6 +16,7 @@ from logs.transforms import compose, invert, wrap
 from sensorgraph.localization import tracked_run
 from sensorgraph.localization.bearing_scale import estimated_scale
 from sensorgraph.localization.locate import locate, located_run
+from sensorgraph.localization.range_offset import OffsetOfRanges
 from sensorgraph.localization.turning_pieces import TimeEstimate, TurningPieces, sweep_basis
 from sensorgraph.types import Floats
 
@@ -143,7 +144,7 @@ def test_noise_of_the_ranges_neither_stretches_nor_delays_the_rays(monkeypatch: 
         bearings = (sensor.bearings - sensor.bearings.mean())[:, None]
         start = pieces.linearised(sensor.ray_delays, motion)
         found.append(start.estimate(sweep_basis(sensor.n_rays), bearings))
-        return sensor, None, ()
+        return sensor, OffsetOfRanges(), ()
 
     monkeypatch.setattr(tracked_run, "_corrected", estimated)
     run = room_run(loop_poses(120), n_rays=360, sigma=0.03, seed=1)

@@ -103,7 +103,7 @@ def walls_seen(offset: float) -> Floats:
 @pytest.mark.parametrize("of_map", [0.03, *further(0.0, 0.015)])
 def test_in_a_map_only_what_the_map_lacks_of_the_offset_is_corrected(of_map: float) -> None:
     found = locate_in_map(looking_ahead(0.03), walls_seen(of_map))
-    assert any("in the map, too" in note for note in found.notes) == (of_map > 0)
+    assert any("and so is the map" in note for note in found.notes) == (of_map > 0)
     off = compose(invert(TRUTH), found.poses)
     assert np.abs(off[:, :2].mean(axis=0)).max() < 0.005  # [m] half of the noise of a range
 

@@ -74,10 +74,8 @@ def locate_in_map(
             raise SensorgraphError(_no_fit(run, place, max(fit, found.best_fit), name))
     with progress("comparing with other places", "scans") as tick:
         is_rivalled, others = rivals_of_drives(found, tick)
-    poses, of_ranges = _filled(found, steps), tuple[str, ...]()
-    if offset is not None:
-        corrected = _seen_against(place, scans, found.poses, offset.value)
-        scans, of_ranges = scans.lengthened(offset.value - corrected), (offset.line_in_map(name, corrected),)
+    poses, corrected = _filled(found, steps), _seen_against(place, scans, found.poses, offset.value)
+    scans = scans.lengthened(offset.value - corrected)
     with progress("smoothing", "scans") as tick:
         start = _smoothed(poses, steps, found.breaks, found.poses, found.information)[0]
         start[np.isnan(found.poses[:, 0])] = np.nan
@@ -102,11 +100,11 @@ def locate_in_map(
             *notes,
             *contrast,
             *followed.notes,
-            *of_ranges,
+            *offset.notes(name, corrected),
             *interval_notes(run.stamps, status, "lost", "ambiguous"),
         ),
         sensor=followed.run.sensor,
-        range_offset=0.0 if offset is None else offset.value,
+        range_offset=offset.value,
     )
 
 
@@ -121,6 +119,8 @@ def _seen_against(place: KnownMap, scans: ScanPoints, poses: Floats, offset: flo
     poses : (n_scans, 3) [m, m, rad] nan: not located.
     """
     located = np.flatnonzero(np.isfinite(poses[:, 0]))
+    if not offset:
+        return 0.0
     some = np.full_like(poses, np.nan)
     chosen = located[evenly(len(located), OFFSET_SCANS)]
     some[chosen] = poses[chosen]

@@ -75,7 +75,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
         raise ValueError("the run has no scans, expected at least one; check the topic of the scans")
     followed = with_motion_of_scans(track_run(run, progress), progress)
     followed = without_moving_returns(followed, progress)
-    odometry, scans, tracked, offset = followed.odometry, followed.scans, followed.track, followed.offset
+    odometry, scans, tracked = followed.odometry, followed.scans, followed.track
     if len(tracked.key_frames) == 0:
         return _without_returns(run, tracked)
     with progress("closing loops", "submaps") as bar:
@@ -106,10 +106,7 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     covariances = covariances + verdict.doubt[:, :, None] ** 2 * np.eye(3)
     origin = np.zeros(3) if odometry is None else odometry[0]
     poses, covariances = _moved_to(smoothed.poses, covariances, origin)
-    seen = refined.system.rows.projections
-    if seen is not None:
-        turn = turn_matrices(poses[0, 2] - smoothed.poses[0, 2])
-        seen = turn @ seen @ turn.T
+    seen = _turned(refined.system.rows.projections, np.asarray(poses[0, 2] - smoothed.poses[0, 2]))
     if not has_odometry:
         covariances = with_unknown_motion(covariances, run.stamps, tracked, seen)
         duration = followed.run.sensor.scan_duration
@@ -133,11 +130,17 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
             *state_notes(run.stamps, tracked, states),
             *contrast_notes(run, poses, odometry, states.status, wheels),
             *followed.notes,
-            *(() if offset is None else (offset.line,)),
+            *followed.offset.notes(),
         ),
         sensor=followed.run.sensor,
-        range_offset=0.0 if offset is None else offset.value,
+        range_offset=followed.offset.value,
     )
+
+
+def _turned(projections: Floats | None, angle: Floats) -> Floats | None:
+    """Return projections (n, 3, 3) of a motion x, y, phi in a map that is turned by an angle () [rad]."""
+    turn = turn_matrices(angle)
+    return None if projections is None else turn @ projections @ turn.T
 
 
 def _smoothed(tracked: ScanTrack, placed: _PlacedScans, *, has_odometry: bool) -> SmoothedPoses:

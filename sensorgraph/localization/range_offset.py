@@ -31,36 +31,38 @@ RANGE_OFFSET = "range_offset"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RangeOffset:
+class OffsetOfRanges:
     """Reading minus true range."""
 
     value: float = 0.0
-    """[m]"""
+    """[m] 0: the run shows none that matters."""
     stderr: float = 0.0
     """[m]"""
 
-    @property
-    def line(self) -> str:
-        """One line for the user."""
-        return (
-            f"the ranges are {100 * abs(self.value):.1f} ± {100 * self.stderr:.1f} cm too {'long' if self.value > 0 else 'short'}: "
-            "corrected for the poses; the readings stay as they were logged"
-        )
+    def notes(self, name: str = "the map", corrected: float | None = None) -> tuple[str, ...]:
+        """Return a note for the user, if there is an offset.
 
-    def line_in_map(self, name: str, corrected: float) -> str:
-        """One line for the user of a map, against which `corrected` [m] of the offset is seen."""
-        if abs(self.value - corrected) < 2.0 * self.stderr:
-            return self.line
+        Parameters
+        ----------
+        name : Of the map ...
+        corrected : ... against which this part of the offset is seen [m]; None: all.
+        """
+        if not self.value:
+            return ()
+        shown = f"the ranges are {100 * abs(self.value):.1f} ± {100 * self.stderr:.1f} cm too {'long' if self.value > 0 else 'short'}"
+        shared = 0.0 if corrected is None else abs(self.value - corrected)
+        if shared < 2.0 * self.stderr:
+            return (f"{shown}: corrected for the poses; the readings stay as they were logged",)
         return (
-            f"{self.line.split(':')[0]}, but {abs(100 * (self.value - corrected)):.1f} cm of this in {name}, too, as if the "
-            f"same laser had measured it: corrected by {100 * abs(corrected):.1f} cm for the poses"
+            f"{shown}, and so is {name} by {100 * shared:.1f} cm of this, as if the same laser had measured it: corrected by "
+            f"{100 * (abs(self.value) - shared):.1f} cm for the poses",
         )
 
 
 def identify_range_offset(
     sensor: RangeSensor, pieces: TurningPieces, start: LinearisedPieces, motion: Motion, widening: float
-) -> RangeOffset | None:
-    """Return the offset of the ranges; None if the run shows none that matters.
+) -> OffsetOfRanges:
+    """Return the offset of the ranges.
 
     Parameters
     ----------
@@ -80,8 +82,8 @@ def identify_range_offset(
         there = replace(there, ranges=without_offset(there, value))
         equations = replace(pieces, run=there).linearised(sensor.ray_delays, motion)
     if abs(value) < LEAST * equations.noise or value**2 <= widening * MIN_GAIN * stderr**2:
-        return None
-    return RangeOffset(value=value, stderr=stderr)
+        return OffsetOfRanges()
+    return OffsetOfRanges(value=value, stderr=stderr)
 
 
 def without_offset(run: Run, offset: float) -> np.ndarray:
@@ -92,5 +94,9 @@ def without_offset(run: Run, offset: float) -> np.ndarray:
 
 def with_right_ranges(run: Run, located: Run) -> Run:
     """Return a run without the offset of its ranges that `locate` found."""
-    offset = float(located.meta.get(RANGE_OFFSET, 0.0))
+    return with_ranges(run, float(located.meta.get(RANGE_OFFSET, 0.0)))
+
+
+def with_ranges(run: Run, offset: float) -> Run:
+    """Return a run whose ranges are corrected by an offset [m]; 0: as it is."""
     return replace(run, ranges=without_offset(run, offset)) if offset else run

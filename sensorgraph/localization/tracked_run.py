@@ -5,7 +5,7 @@ Where the run contradicts what its log states of these, it is tracked again with
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from sensorgraph.localization.front_end import track
 from sensorgraph.localization.missing_odometry import with_missing_stretches, without_jumps
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
 from sensorgraph.localization.older_rays import identify_older_rays
-from sensorgraph.localization.range_offset import RangeOffset, identify_range_offset, without_offset
+from sensorgraph.localization.range_offset import OffsetOfRanges, identify_range_offset, with_ranges
 from sensorgraph.localization.ray_times import identify_ray_times, small_sample
 from sensorgraph.localization.scan_lag import LATENCY, MIN_LAG, N_STEPS, ScanLag, scan_lag, with_stamp_of
 from sensorgraph.localization.scan_track import ScanTrack
@@ -48,8 +48,8 @@ class TrackedRun:
     track: ScanTrack
     notes: tuple[str, ...] = ()
     """Notes about the ray times."""
-    offset: RangeOffset | None = None
-    """Of the ranges of the log; those of `run` are corrected. None: the run shows none."""
+    offset: OffsetOfRanges = field(default_factory=OffsetOfRanges)
+    """Of the ranges of the log; those of `run` are corrected."""
 
 
 def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
@@ -71,8 +71,7 @@ def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
         return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=filled)
     motion = odometry_motion or motion_of_track(run, tracked)
     is_given = run.meta.get("ray_times") == "robot.yaml"
-    sensor, notes = run.sensor, tuple[str, ...]()
-    offset: RangeOffset | None = None
+    sensor, offset, notes = run.sensor, OffsetOfRanges(), tuple[str, ...]()
     with progress("estimating ray times", ""):
         dense = _with_more_key_frames(tracked, scans, run.stamps, odometry)
         pieces = TurningPieces.of(run, odometry, dense)
@@ -84,10 +83,8 @@ def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
             sensor, offset, notes = _corrected(
                 run.sensor, pieces, motion, None if turned is None else turned[0], is_given=is_given
             )
-    is_new, notes = sensor is not run.sensor or offset is not None, (*filled, *notes)
-    run = replace(run, sensor=sensor)
-    if offset is not None:
-        run = replace(run, ranges=without_offset(run, offset.value))
+    is_new, notes = sensor is not run.sensor or offset.value != 0, (*filled, *notes)
+    run = with_ranges(replace(run, sensor=sensor), offset.value)
     if is_new or (odometry is None and run.sensor.has_ray_delays):
         scans = scan_points(run, motion)
         tracked = track(scans, run.stamps, odometry, progress)
@@ -112,7 +109,7 @@ def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
 
 def _corrected(
     sensor: RangeSensor, pieces: TurningPieces, motion: Motion, turned: float | None, *, is_given: bool
-) -> tuple[RangeSensor, RangeOffset | None, tuple[str, ...]]:
+) -> tuple[RangeSensor, OffsetOfRanges, tuple[str, ...]]:
     """Return the sensor with the ray times and bearings that the run shows, the offset of the ranges, and notes about them.
 
     Parameters
