@@ -168,8 +168,9 @@ def test_effects_say_what_the_simulator_must_be_told() -> None:
 
 
 def test_a_delay_is_told_in_words() -> None:
-    lines = lines_of(calibrate(drive(delay=-0.1)))
-    assert any(line.startswith("scan delay: scans are 1") and "older" in line for line in lines)
+    lines = "\n".join(lines_of(calibrate(drive(delay=-0.1))))
+    found = re.search(r"scan delay: scans are ([0-9.]+) ms ± [0-9.]+ ms older than the odometry", lines)
+    assert found and float(found[1]) == pytest.approx(100.0, abs=5.0)
 
 
 def test_a_part_of_a_run_is_as_good_as_the_run() -> None:

@@ -25,6 +25,7 @@ from sensorgraph.diagnosis.motion.calibration.estimate import (
 )
 from sensorgraph.diagnosis.motion.regression import BoundedPrior
 from sensorgraph.diagnosis.report.summary import summarise
+from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.without_reference import located_in, with_described_mount, with_driving
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.map_scale import MAP_SCALE
@@ -106,9 +107,9 @@ def test_a_log_without_transforms_is_located_by_the_robots_mount(room: Arena) ->
 # three metres: laser, map, wheels ------------------------------------------------------------------------------------
 
 
-def driving(way: float) -> DrivingFinding:
+def driving(way: float, *, bias: float = 0.0, delay: float = 0.0) -> DrivingFinding:
     """Return what driving alone tells: by the laser's metre, ways are so many times the odometry's."""
-    values = np.array([way, 1.0, 0.0, *ROBOT.sensor.mount, 0.0, 0.0, 0.0])
+    values = np.array([way, 1.0, bias, *ROBOT.sensor.mount, delay, 0.0, 0.0])
     none = np.zeros(N_ALL)
     prior = BoundedPrior(mean=none, sigma=none + 1.0, reach=none + np.inf)
     rows = WindowRows(
@@ -150,6 +151,27 @@ def test_a_stretch_that_nothing_decides_has_no_name(biased: Finding, wheels: Dri
     assert [a.name for a in told.undecided] == ["range_scale"]
     assert [(r.name, r.instead_of) for r in told.channels["scan"].rivals][-1] == ("map_scale", "range_scale")
     assert "range_scale" not in {a.name for a in told.effects}
+
+
+@pytest.mark.parametrize(
+    ("wheels", "said"),
+    [
+        (driving(1.0, bias=-0.05), "The odometry misses a heading bias of −2.86"),
+        (driving(1.0, delay=-0.05), "Scans are 50.00 ms ± 0.50 ms older than the odometry"),
+        (driving(1.0), "Nothing material found."),
+    ],
+    ids=["unequal wheels", "late scans", "nothing"],
+)
+def test_what_driving_shows_without_an_effect_for_it_is_the_headline(
+    biased: Finding, wheels: DrivingFinding, said: str
+) -> None:
+    """A delay may be of either clock, and unequal wheels have no size without the wheelbase."""
+    nothing = {name: ChannelResult(channel=name) for name in biased.channels}
+    told = summarise(replace(biased, channels=nothing, driving=wheels))
+    assert told.headline.startswith(said)
+    assert any(text.startswith("The scans agree") for text in told.details) == (
+        not said.startswith("Nothing")
+    )
 
 
 def test_calibration_names_are_as_the_stand_in_has_them() -> None:

@@ -57,6 +57,7 @@ def summarise(finding: Finding) -> Summary:
     """Return the headline of a finding and the sentences that belong to it."""
     effects, unknown, undecided = finding.effects, finding.unknown, undecided_rivals(finding)
     details = gap_sentences(finding)
+    nameless = [] if finding.driving is None else finding.driving.nameless
     if finding.explained is None and unknown is not None and unknown.deviation is None:
         return _misplaced(unknown)
     compared = [name for name, one in finding.channels.items() if not one.skipped]
@@ -83,7 +84,14 @@ def summarise(finding: Finding) -> Summary:
         outcome = Outcome.FOUND
     else:
         headline, outcome = "Nothing material found.", Outcome.NOTHING
-        details.insert(0, _agreement(finding))
+        agreement = _agreement(finding)
+        if nameless:
+            headline, outcome, nameless = f"{nameless[0]}.", Outcome.FOUND, nameless[1:]
+            agreement = agreement.replace(
+                "Simulation and measurement agree", "The scans agree with a simulation"
+            )
+        details.insert(0, agreement)
+    details[:0] = [f"{text}." for text in nameless]
     if unknown is not None:
         text = deviation_text(unknown.deviation) if unknown.deviation is not None else unknown.statement
         text = text.removeprefix("something no effect of the library explains: ")

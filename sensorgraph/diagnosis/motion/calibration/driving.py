@@ -57,7 +57,24 @@ class DrivingFinding:
         names = list(self.runs)
         if len(names) > 1:
             return verdict(self.differences, names[0], names[1])
-        return [headline(self.runs[names[0]], self.changes[names[0]])]
+        found = self.runs[names[0]]
+        delay = [f"{delay_text(found).capitalize()}."] if is_delayed(found) else []
+        return [headline(found, self.changes[names[0]]), *delay]
+
+    @property
+    def nameless(self) -> list[str]:
+        """Return what the last run shows and no effect can state: sentences about unequal wheels without a size, a delay, a change."""
+        name, found = list(self.runs.items())[-1]
+        out, (bias, sd) = [], found.of("heading_bias")
+        q, change = QUANTITIES["heading_bias"], self.changes[name]
+        if self.base is None and "heading_bias" not in found.hidden and q.is_off(bias, sd):
+            out.append(
+                f"The odometry misses a {q.title} of {q.text(bias, sd)}: wheels of unequal size, of which the wheelbase "
+                "(wheels.base in robot.yaml) gives the effect"
+            )
+        if is_delayed(found):
+            out.append(delay_text(found).capitalize())
+        return [*out, *([] if change is None else [change.sentence])]
 
     def lines_of(self, name: str) -> list[str]:
         """Return the calibration of one run, one line per quantity."""
@@ -205,14 +222,21 @@ def _delay_lines(found: DrivingCalibration) -> list[str]:
     """Return the delay between scans and odometry, also if there is none."""
     if "delay" in found.hidden:
         return []
+    if is_delayed(found):
+        return [f"scan delay: {delay_text(found)}"]
+    return [f"scan delay: {QUANTITIES['delay'].text(*found.of('delay'))}, none that matters"]
+
+
+def is_delayed(found: DrivingCalibration) -> bool:
+    """Tell whether scans and odometry surely have other times than their stamps, by as much as matters."""
+    return "delay" not in found.hidden and QUANTITIES["delay"].is_off(*found.of("delay"))
+
+
+def delay_text(found: DrivingCalibration) -> str:
+    """Return the delay between scans and odometry."""
     delay, sd = found.of("delay")
-    q = QUANTITIES["delay"]
-    if q.is_off(delay, sd):
-        older = "older" if delay < 0 else "newer"
-        return [
-            f"scan delay: scans are {1e3 * abs(delay):.0f} ± {1e3 * sd:.0f} ms {older} than the odometry at their stamps"
-        ]
-    return [f"scan delay: {q.text(delay, sd)}, none that matters"]
+    size = QUANTITIES["delay"].text(abs(delay), sd, sign=False)
+    return f"scans are {size} {'older' if delay < 0 else 'newer'} than the odometry at their stamps"
 
 
 def _floor_lines(found: DrivingCalibration) -> list[str]:
