@@ -158,7 +158,9 @@ def test_a_found_pose_has_the_evidence_since_the_robot_may_have_been_carried_the
 def test_a_mode_that_resembles_a_found_pose_is_as_much_more_probable() -> None:
     mode = Mode(pose=np.zeros(3), covariance=np.eye(3), score=0.0, number=1).resembling(2, math.log(3.0))
     assert math.exp(mode.score) == pytest.approx(1.0 + 3.0)
-    assert math.exp(mode.resembling(3, math.log(4.0)).score) == pytest.approx(1.0 + 3.0 + 4.0)
+    other = mode.resembling(3, math.log(0.5))  # against the first two
+    assert math.exp(other.score) == pytest.approx(1.0 + 3.0 + 2.0)
+    assert np.exp(list(other.resembles.values())) == pytest.approx([3.0, 2.0])
 
 
 def test_the_likelihood_of_a_wide_mode_is_the_mean_over_its_parts() -> None:
@@ -182,3 +184,17 @@ def test_a_mode_whose_unknown_surroundings_look_like_a_found_pose_keeps_its_lead
     assert found.score > 20.0  # by itself, it would be the more probable
     lead = main.resembling(2, float(odds[0])).score - found.score
     assert lead == pytest.approx(12.0 + math.log(2.0), abs=0.01)
+
+
+@pytest.mark.parametrize("better", [0, 3])
+def test_what_already_resembles_a_mode_gains_by_a_found_pose_only_what_that_predicts_better(
+    better: int,
+) -> None:
+    """As a belief outside the graph, while a search finds a second pose from which the same walls are seen."""
+    modes = two_modes(6, 5.0)
+    scan = resemblance_of(at_poses((54 + better, 6 - better, 0, 0), (0, 0, 60, 0), (54, 6, 0, 0)), 0.01)
+    gains = np.repeat(np.vstack([scan.here, scan.elsewhere])[None], 5, axis=0)
+    _, odds = found_mode(Mode.found_at(np.ones(3)), modes, -np.inf, gains, np.full(5, -12.0), PLACES)
+    after = modes[0].resembling(3, float(odds[0]))
+    predicted = 5 * float(scan.here[0, 0] - scan.here[2, 2])
+    assert 0.0 < after.score - modes[0].score <= float(np.logaddexp(0.0, predicted)) + 1e-9

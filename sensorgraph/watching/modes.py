@@ -107,10 +107,13 @@ class Mode:
         return replace(self, score=self.score + nats, alike=self.alike + nats)
 
     def resembling(self, number: int, odds: float) -> Mode:
-        """Return the mode if its unknown surroundings may resemble those of a new one, with log-odds by the recent scans."""
-        known = np.logaddexp.reduce([0.0, *self.resembles.values()])
-        score = self.score + float(np.logaddexp(known, odds) - known)
-        return replace(self, score=score, resembles={**self.resembles, number: odds})
+        """Return the mode if its unknown surroundings may resemble those of a new one, with log-odds by the recent scans.
+
+        The odds are against all that its surroundings may be: its score already has the evidence that they resemble other modes.
+        """
+        known = float(np.logaddexp.reduce([0.0, *self.resembles.values()]))
+        score = self.score + float(np.logaddexp(0.0, odds))
+        return replace(self, score=score, resembles={**self.resembles, number: known + odds})
 
     def is_at(self, pose: Floats, tolerance: tuple[float, float]) -> bool:
         """Tell whether the mode is within a tolerance [m, rad] of a pose (3,)."""
@@ -317,7 +320,8 @@ def found_mode(
 ) -> tuple[Mode, Floats]:
     """Return a mode that a search found with its probability.
 
-    The second value (n_modes,) holds the log-odds that the unknown surroundings of each other mode resemble those of the pose.
+    The second value (n_modes,) holds the log-odds that the unknown surroundings of each other mode resemble those of the pose,
+    against all else that they may be.
 
     Parameters
     ----------
@@ -328,14 +332,15 @@ def found_mode(
     log_places : Logarithm of the number of different places.
     """
     since = np.cumsum(gains[::-1], axis=0)[::-1]  # sums from each scan on
+    prior = np.where(np.eye(len(modes), dtype=np.bool_), 0.0, -log_places)
+    of_modes = np.logaddexp.reduce(since[:, 1:-1, 1:] + prior, axis=2)  # (n_scans, n_modes)
     main = max(modes, key=lambda mode: mode.score, default=None)
     of_main = np.zeros((len(gains), 2))
     if main is not None:
-        k = 1 + next(k for k, mode in enumerate(modes) if mode is main)
-        prior = np.where(np.arange(1, 1 + len(modes)) == k, 0.0, -log_places)
-        of_main = np.column_stack([np.logaddexp.reduce(since[:, k, 1:] + prior, axis=1), since[:, -1, k]])
+        k = next(k for k, mode in enumerate(modes) if mode is main)
+        of_main = np.column_stack([of_modes[:, k], since[:, -1, 1 + k]])
     scores = found_scores(main, elsewhere, since[:, [0, -1], 0], of_main, carried) - log_places
-    odds = since[0, 1:-1, 0] - np.diagonal(since[0])[1:] - log_places
+    odds = since[0, 1:-1, 0] - of_modes[0] - log_places
     score, alike = scores.tolist()
     return replace(found, score=score, alike=alike), odds
 
