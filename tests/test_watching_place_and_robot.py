@@ -58,6 +58,14 @@ def test_the_box_of_the_room_that_was_taken_away_is_gone() -> None:
 
 
 @pytest.mark.slow
+def test_a_box_that_is_some_centimetres_smaller_than_in_the_graph_is_not_gone() -> None:
+    """Its sides are 4 cm and its corners 5 cm further in: rays that pass them now end at the walls of the room."""
+    middle = np.array([3.45, 2.55, 3.45, 2.55])
+    smaller = [tuple(middle + 0.9 * (np.array(wall) - middle)) for wall in ROOM[-4:]]
+    assert not last(laps(4, seed=11, walls=[*ROOM[:-4], *smaller])).changes  # type: ignore[list-item]
+
+
+@pytest.mark.slow
 def test_people_who_pass_are_no_change_of_the_place() -> None:
     run = laps(2, seed=12)
     rng, ranges = np.random.default_rng(0), run.ranges.copy()

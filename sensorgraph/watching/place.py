@@ -9,8 +9,10 @@ that ends in a cell has the density
 
 The last one is a mean over the distribution of the pose, since at an edge, centimetres decide which surface a ray meets. The
 logarithm of the ratio is evidence for a change. Only readings that the graph does not predict count, since it does not state how it
-errs, and only those that end away from the outline of the predicted scan: at grazing incidence, centimetres of a wall are
-decimetres of a reading. A ray that passes through a cell, or ends at the predicted surface, is evidence against.
+errs. What is new must be away from the outline of the predicted scan: at grazing incidence, centimetres of a wall are decimetres of a
+reading. What is gone must be away from the outline of the scan, by a cell at least: the graph knows the end of a surface as well as its
+rays were dense, and a ray that passes it by centimetres ends metres behind. A ray that passes through a cell is evidence against
+something new there, and a reading that ends at the predicted surface is never evidence that it is gone.
 
 What changes for a while is no change of the place (`place_cells`): people are new for a while, and surfaces that the graph predicts
 wrongly from one side are gone until the robot sees them from another.
@@ -89,8 +91,8 @@ class Place:
         of_gone = np.logaddexp(math.log(share) - r.anywhere.log_survival(d), math.log(1 - share))
         self._cross(laser, way[returned], z[returned])
         ends, surfaces = laser[:2] + z[:, None] * way, laser[:2] + d[:, None] * way
-        is_odd[is_odd] = distance_to_outline(ends[is_odd], surfaces, returned) > s.least_difference
         is_new = is_odd & (z < d) & r.seen.contains(ends)
+        is_new[is_new] = distance_to_outline(ends[is_new], surfaces, returned) > s.least_difference
         cells, which = self._cells(ends, is_new)
         self.new.add(cells, weight * (of_new - ratios)[which], stamp)
         for some in (self.new.cells, self.new.things):
@@ -98,11 +100,12 @@ class Place:
             some.add(passed, np.full(len(passed), weight * PASSES), stamp)
         is_sure = returned & (expected.p_no_return[0] < 0.5)
         is_gone = is_odd & is_sure & (z > d)
+        is_gone[is_gone] = distance_to_outline(surfaces[is_gone], ends, returned) > s.cell
         cells, which = self._cells(surfaces, is_gone)
         agreeing, agrees = self._cells(surfaces, is_sure & (np.abs(z - d) < s.least_difference))
         is_asked = np.isin(agreeing, cells) | self.gone.is_doubtful(agreeing)
         of_gone = weight * (of_gone - ratios)
-        nats = np.concatenate([of_gone[which], of_gone[agrees][is_asked]])
+        nats = np.concatenate([of_gone[which], np.minimum(of_gone[agrees][is_asked], 0.0)])
         self.gone.add(np.concatenate([cells, agreeing[is_asked]]), nats, stamp)
 
     def changes(self) -> list[PlaceChange]:
