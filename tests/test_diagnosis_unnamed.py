@@ -127,3 +127,25 @@ def test_the_page_lists_each_of_them() -> None:
         (channel, *kind) for channel in ("scan", "odometry", "drive") for kind in families_of(channel).items()
     ]
     assert rows == [f"| {channel} | `{name}` | {title} |" for channel, name, title in kinds]
+
+
+@pytest.mark.parametrize(
+    ("where", "family"), [("everywhere", "laser_losses"), ("in a sector", "unexplained_misses")]
+)
+def test_returns_that_are_missing_everywhere_are_the_laser_and_no_surface(
+    hall: Arena, robot: Robot, plain: Run, where: str, family: str
+) -> None:
+    """Losses at random are a property of the laser; those of a sector are said where they are."""
+    rng, bearings = np.random.default_rng(5), plain.sensor.bearings
+    lost = rng.random(plain.ranges.shape) < (
+        0.08 if where == "everywhere" else 0.4 * (np.abs(bearings - 0.7) < 0.3)
+    )
+    finding = diagnose(
+        replace(plain, ranges=np.where(lost, np.inf, plain.ranges)), hall, robot, plan_next=False
+    )
+    unknown = finding.channels["scan"].unknown
+    assert unknown is not None and unknown.family == family
+    assert finding.effects == ()
+    assert finding.explained is not None
+    if where == "everywhere":
+        assert finding.explained.final.state.noise.loss == pytest.approx(lost.mean(), abs=0.01)

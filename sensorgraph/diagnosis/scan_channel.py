@@ -25,7 +25,12 @@ from sensorgraph.diagnosis.scan.observability import (
 from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
-from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import doubt_of_scatter, freed_scatter
+from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import (
+    doubt_of_losses,
+    doubt_of_scatter,
+    freed_losses,
+    freed_scatter,
+)
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import Amendment
 from sensorgraph.types import Progress, ProgressBars, no_progress
@@ -73,10 +78,11 @@ def diagnose_scans(
     """
     with clock.stage("explain"):
         explained = explain(train, noise_bounds, progress=clock.progress)
-        free = freed_scatter(train, explained.final, noise_bounds) if baseline is None else None
-        if free is not None:
-            noise_bounds = free
-            explained = explain(train, free, progress=clock.progress)
+        for freed in (freed_scatter, freed_losses) if baseline is None else ():
+            free = freed(train, explained.final, noise_bounds)
+            if free is not None:
+                noise_bounds = free
+                explained = explain(train, free, progress=clock.progress)
     with clock.stage("criticise") as tick:
         goodness, names = judge(train, explained, baseline, rng, tick=tick)
     null, final = explained.null, explained.final
@@ -122,7 +128,7 @@ def judge(
     if baseline is not None:
         found = _beyond_usual(found, baseline, train)
     elif not found.is_doubted:
-        found = replace(found, told=doubt_of_scatter(final))
+        found = replace(found, told=doubt_of_scatter(final) or doubt_of_losses(final))
     listed = deviations(FitResiduals(train, null))[: SCAN.goodness_of_fit.max_listed]
     names = name_scan_effects(train, explained, found, listed)
     if not found.is_doubted and (told := told_by_tolerances(final, found)) is not None:

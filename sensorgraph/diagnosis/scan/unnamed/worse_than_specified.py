@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sensorgraph.diagnosis.scan.consequence import ScanError
+from sensorgraph.diagnosis.scan.deviations import deviations
 from sensorgraph.diagnosis.scan.fit import Fitted, fit
+from sensorgraph.diagnosis.scan.residuals import FitResiduals
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, NoiseBounds
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
@@ -19,6 +21,10 @@ POSE_CAUSES = (
 SIGMA_CAUSES = (
     "sensor.sigma in robot.yaml is too small: data sheets specify the best case",
     "a laser that vibrates, is worn, or measures through a dirty window",
+)
+LOSS_CAUSES = (
+    "a weak or dirty window, or a worn laser",
+    "sunlight, another laser, or a bad connection",
 )
 MAP_CAUSES = (
     "a map that is less accurate than specified",
@@ -61,7 +67,9 @@ WORSE_THAN_SPECIFIED = Unnamed(
 )
 
 LASER_SCATTER = Unnamed(titles={"laser_scatter": "a laser that scatters more than specified"})
-"""The scatter of the laser is tested before the effects."""
+"""The scatter of the laser is tested before the effects ..."""
+LASER_LOSSES = Unnamed(titles={"laser_losses": "a laser that loses returns everywhere"})
+"""... and so are its losses."""
 
 
 def freed_scatter(data: ScanData, final: Fitted, noise_bounds: NoiseBounds) -> NoiseBounds | None:
@@ -87,6 +95,37 @@ def freed_scatter(data: ScanData, final: Fitted, noise_bounds: NoiseBounds) -> N
     got = fit(data, kept, state, free)
     needed = 0.0 if has_dropped else SCAN.selection.threshold
     return free if got.j > final.j + needed else None
+
+
+def freed_losses(data: ScanData, final: Fitted, noise_bounds: NoiseBounds) -> NoiseBounds | None:
+    """Return noise bounds that allow more lost returns if these explain more than the effects of a fit, alike everywhere; else None.
+
+    If few returns may be missing at random, surfaces that absorb light are put wherever some are missing.
+    """
+    low, high = noise_bounds.loss
+    if final.state.noise.loss < high:
+        return None
+    free = replace(noise_bounds, loss=(low, SCAN.site.wide_noise.loss[1]))
+    got = fit(data, final.model, final.state.copy(), free)
+    if got.j <= final.j + SCAN.selection.threshold:
+        return None
+    return None if any(d.family == "misses" for d in deviations(FitResiduals(data, got))) else free
+
+
+def doubt_of_losses(final: Fitted) -> Doubt | None:
+    """Return a laser that loses more returns than usual; None if it does not."""
+    loss, usual = final.state.noise.loss, SCAN.noise.loss[1]
+    if loss <= usual:
+        return None
+    return Doubt(
+        family="laser_losses",
+        misfit=0.0,
+        statement=f"the laser loses {100 * loss:.1f} % of the returns, and no part of them surely more",
+        statistic=loss,
+        threshold=usual,
+        size=ScanError(wrong=loss),
+        causes=LOSS_CAUSES,
+    )
 
 
 def doubt_of_scatter(final: Fitted) -> Doubt | None:
