@@ -45,6 +45,7 @@ def in_process(
     answers: Callable[[], list[Said]], numbers: Sequence[Number] = (), factor: float = 1.0
 ) -> list[Said] | str:
     """Return the answers of a process in which some numbers differ, or what went wrong there."""
+    vary((), 1.0)  # reads the sources, once for all processes
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
     child = context.Process(target=_answer, args=(there, answers, numbers, factor))
@@ -113,7 +114,6 @@ def sweep(
         return [one() for one in prepared]
 
     answers()  # compiles
-    vary((), 1.0)  # reads the sources
     begin = time.perf_counter(), sum(os.times()[2:4])
     usual = in_process(answers)
     if isinstance(usual, str):
