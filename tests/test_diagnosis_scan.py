@@ -110,7 +110,7 @@ def test_eliminating_the_poses_solves_the_whole_system(quiet: ScanData, null: Fi
     a = np.column_stack(columns)
     w = np.where(solver.jacobian.valid, weight, 0.0).ravel()
     normal = a.T @ (a * w[:, None])
-    prior = np.linalg.inv(pose_prior(few, 1.0))
+    prior = np.linalg.inv(pose_prior(few, 1.0).covariance)
     for scan in range(n_scans):
         at = slice(k + 3 * scan, k + 3 * scan + 3)
         normal[at, at] += prior[scan]

@@ -165,7 +165,7 @@ class Corners:
 
     def shifts(self, unknowns: Floats) -> Floats:
         """Return the shifts (2 count,) [m] of the corners for unknowns (2 n_unknowns,) [m]."""
-        if self.obstacle is None:
+        if self.obstacle is None or not self.n_obstacles:
             return unknowns
         alone, common = self._shares
         pairs = unknowns.reshape(-1, 2)
@@ -174,7 +174,7 @@ class Corners:
 
     def of_unknowns(self, of_shifts: Floats) -> Floats:
         """Return derivatives (..., 2 n_unknowns) by the unknowns, from those (..., 2 count) by the shifts."""
-        if self.obstacle is None:
+        if self.obstacle is None or not self.n_obstacles:
             return of_shifts
         alone, common = self._shares
         pairs = of_shifts.reshape(*of_shifts.shape[:-1], self.count, 2)

@@ -156,12 +156,12 @@ class Solver:
             self.rows * w[:, None, :], self.rows.transpose(0, 2, 1)
         )  # (n_scans, 11 + k, 11 + k)
         with_y = np.matmul(self.rows, (w * y)[:, :, None])[..., 0]  # (n_scans, 11 + k)
-        h = products[:, :3, :3] + np.linalg.inv(prior)
+        h = products[:, :3, :3] + prior.inverse
         c, g = products[:, :3, 3:], products[:, 3:, 3:].sum(axis=0)
         b, r = with_y[:, :3], with_y[:, 3:].sum(axis=0)
         if self.corners.count:
             c, g, r = self._with_corners(w, y, c, g, r)
-        return without_poses(g, r, h, c, b, prior)
+        return without_poses(g, r, h, c, b, prior.logdet)
 
     def _with_corners(
         self, w: Floats, y: Floats, c: Floats, g: Floats, r: Floats
@@ -257,7 +257,7 @@ def iterate(
     for turn in range(SCAN.fit.max_rounds + 1):
         responsibilities = e_step(solver.data, solver.expected, solver.shift(state, p), state.noise)
         system = solver.assemble(responsibilities.weight, state.pose_scale)
-        inverse = np.linalg.inv(pose_prior(solver.data, state.pose_scale))
+        inverse = pose_prior(solver.data, state.pose_scale).inverse
         length = np.einsum("ni,nij,nj->n", state.delta, inverse, state.delta)
         lower = solver.factor(system, state)
         j = solver.objective(system, lower, state, responsibilities, length)
@@ -303,7 +303,7 @@ def _scales(
     P - h⁻¹ is the covariance of the estimated delta under the prior. The corners of the map are treated in the same way.
     Medians are used, because an effect then does not widen the tolerances. `lower` is the `factor` of the system.
     """
-    prior = pose_prior(solver.data, state.pose_scale)
+    prior = pose_prior(solver.data, state.pose_scale).covariance
     spread = prior - np.linalg.inv(system.poses)  # covariance of the estimate under the prior
     spread = spread + 1e-3 * prior
     q = np.einsum("ni,nij,nj->n", state.delta, np.linalg.inv(spread), state.delta)

@@ -62,7 +62,7 @@ class System:
         return np.asarray(self.start - np.linalg.solve(self.poses, (self.across @ x)[..., None])[..., 0])
 
 
-def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, prior: Floats) -> System:
+def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, logdet: float) -> System:
     """Eliminate the pose errors of all scans by the Schur complement of their 3 x 3 blocks.
 
         M = g - Σ cᵀ h⁻¹ c,    right = r - Σ cᵀ h⁻¹ b.
@@ -72,13 +72,12 @@ def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, prior: 
     g, r : (k, k), (k,) Normal equations at fixed poses.
     h, c, b : (n_scans, 3, 3), (n_scans, 3, k), (n_scans, 3) Blocks of the poses with their prior, their coupling to the
         other unknowns, and their right-hand side.
-    prior : (n_scans, 3, 3) Prior covariance of the pose errors.
+    logdet : Sum over scans of log |P_s|, with P_s the prior covariance of the pose.
     """
     lower = np.linalg.cholesky(h)
     inverse = np.linalg.inv(lower)
     whitened = np.matmul(inverse, c).reshape(3 * len(h), -1)
     residual = np.matmul(inverse, b[..., None])
-    _, of_prior = np.linalg.slogdet(prior)
     of_poses = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
     return System(
         matrix=g - whitened.T @ whitened,
@@ -86,7 +85,7 @@ def without_poses(g: Floats, r: Floats, h: Floats, c: Floats, b: Floats, prior: 
         poses=h,
         across=c,
         start=np.matmul(inverse.transpose(0, 2, 1), residual)[..., 0],
-        logdet=float(of_prior.sum() + of_poses),
+        logdet=float(logdet + of_poses),
     )
 
 

@@ -28,11 +28,14 @@ from sensorgraph.effects.range_bias import RANGE_BIAS
 from sensorgraph.effects.range_drift import RANGE_DRIFT
 from sensorgraph.effects.range_scale import RANGE_SCALE
 from sensorgraph.types import Floats
+from sensorgraph.world.cast_memory import Recent
 from sensorgraph.world.robot import Tolerances
 
 SETTINGS = SCAN.nuisance
 HIDDEN_SIZES = RANGE_BIAS.sizes["b"], RANGE_SCALE.sizes["s"], RANGE_DRIFT.sizes["b1"]
 """[m, 1, m] Materiality of the effects of the laser that a careful setup may hide in part."""
+MAX_PRIORS = 4
+"""Number of kept priors of the poses of some scans."""
 
 
 def prior_widths(tolerances: Tolerances) -> Floats:
@@ -130,8 +133,20 @@ class State:
         return replace(self, g=self.g.copy(), delta=self.delta.copy(), noise=replace(self.noise))
 
 
-def pose_prior(data: ScanData, scale: float) -> Floats:
-    """Return the prior covariance of the pose errors (n_scans, 3, 3).
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosePrior:
+    """Prior of the pose errors of all scans."""
+
+    covariance: Floats
+    """(n_scans, 3, 3)"""
+    inverse: Floats
+    """(n_scans, 3, 3)"""
+    logdet: float
+    """Sum over scans of log |P|."""
+
+
+def pose_prior(data: ScanData, scale: float) -> PosePrior:
+    """Return the prior of the pose errors; the latest ones of the data are kept, because a fit needs each several times.
 
         P = scale² (diag(pose_xy², pose_xy², pose_yaw²) + stamp² u uᵀ),    with u the velocity of the base.
 
@@ -140,9 +155,17 @@ def pose_prior(data: ScanData, scale: float) -> Floats:
     scale : Factor of the tolerances.
     """
     t = data.tolerances
-    own = np.diag([max(t.pose_xy, 1e-5) ** 2, max(t.pose_xy, 1e-5) ** 2, max(t.pose_yaw, 1e-6) ** 2])
-    u = data.twists
-    return scale**2 * (own + t.stamp**2 * u[:, :, None] * u[:, None, :])
+    xy, yaw = max(t.pose_xy, 1e-5), max(t.pose_yaw, 1e-6)
+
+    def made() -> PosePrior:
+        u = data.twists
+        p = scale**2 * (np.diag([xy**2, xy**2, yaw**2]) + t.stamp**2 * u[:, :, None] * u[:, None, :])
+        return PosePrior(
+            covariance=p, inverse=np.asarray(np.linalg.inv(p)), logdet=float(np.linalg.slogdet(p)[1].sum())
+        )
+
+    kept: Recent[PosePrior] = data.kept(b"pose priors", lambda: Recent(MAX_PRIORS))
+    return kept.get(np.array([scale, xy, yaw, t.stamp]).tobytes(), made)
 
 
 # place of the casts ---------------------------------------------------------------------------------------------------

@@ -144,7 +144,7 @@ def drawn_scans(
     -------
     The scans with the drawn readings, and their pose errors (n_scans, 3).
     """
-    prior = pose_prior(data, state.pose_scale)
+    prior = pose_prior(data, state.pose_scale).covariance
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(prior), rng.normal(size=(data.n_scans, 3)))
     g = np.where(solver.locked, 0.0, state.g)
     mu = solver.expected.reading + solver.shift(replace(state, g=g, delta=errors), p)

@@ -100,7 +100,7 @@ def spread_evidence(data: ScanData, better: Fitted, plain: Fitted) -> float:
 def _by_scan(data: ScanData, fitted: Fitted) -> Floats:
     """Return the log-likelihood (n_scans,) [nats] of the readings and of the pose of each scan."""
     delta = fitted.state.delta
-    precision = np.linalg.inv(pose_prior(data, fitted.state.pose_scale))
+    precision = pose_prior(data, fitted.state.pose_scale).inverse
     of_pose = 0.5 * np.einsum("ni,nij,nj->n", delta, precision, delta)
     return np.asarray(fitted.solution.responsibilities.log_p.sum(axis=1) - of_pose)
 

@@ -179,7 +179,8 @@ def each_scan(fitted: Fitted) -> EachScan:
     state = solution.state.copy()
     state.delta[:] = 0.0
     left = solver.y - solver.shift(state, solution.p)
-    prior, posed = pose_prior(solver.data, state.pose_scale), solver.jacobian.pose * weight[:, None, :]
+    prior = pose_prior(solver.data, state.pose_scale).covariance
+    posed = solver.jacobian.pose * weight[:, None, :]
     return EachScan(
         block=np.matmul(posed, solver.jacobian.pose.transpose(0, 2, 1)),
         right=np.matmul(posed, left[:, :, None])[..., 0],
@@ -199,8 +200,8 @@ def tolerance_scale(fitted: Fitted, name: Literal["stamp", "pose_yaw"]) -> float
     """
     each, data, common = each_scan(fitted), fitted.solver.data, fitted.state.pose_scale
     without = replace(data.tolerances, **{name: 0.0})
-    rest = pose_prior(replace(data, tolerances=without, memo={}), 1.0)
-    part = pose_prior(data, 1.0) - rest
+    rest = pose_prior(replace(data, tolerances=without, memo={}), 1.0).covariance
+    part = pose_prior(data, 1.0).covariance - rest
     told = each.log_p_of_prior(common**2 * (rest + part))
 
     def gain(of_rest: float, of_part: float) -> float:
