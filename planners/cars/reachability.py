@@ -30,6 +30,7 @@ from planners.search.kernel_world import (
     new_scratch,
     trace_back,
     try_primitive,
+    wide,
 )
 from planners.search.motion_primitives import MotionPrimitives, car_primitives
 from planners.search.search import RETRY_DWELL, CoverageSearch, SearchResult
@@ -87,7 +88,7 @@ def _expand_wavefront(
     to_first : Whether to look for the first bin: branches that cover a bin are then stored as -1 - branch.
     """
     ny, n_phi = world.need.shape[1], world.need.shape[2]
-    x, y, h = queue.at[head, 0], queue.at[head, 1], queue.hs[head]
+    x, y, h = queue.at[head, 0], queue.at[head, 1], wide(queue.hs[head])
     for j in range(primitives.next_mode.shape[1]):
         free, n_covered = try_primitive(x, y, h, 0, j, world, primitives, covered)
         if not free:

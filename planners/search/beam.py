@@ -142,7 +142,7 @@ def beam_search(state: Floats, tables: SearchTables) -> tuple[int, int]:
     for popped in range(n_leaves):
         node = workspace.leaves[pop_least(workspace.heap, n_leaves - popped, costs)]
         if is_safe(at[node, 0], at[node, 1], wide(hs[node]), wide(ms[node]), tables):
-            n = trace_back(node, workspace.parents, workspace.branches, workspace.sequence)
+            n = trace_back(wide(node), workspace.parents, workspace.branches, workspace.sequence)
             return n, workspace.total_covered[node]
     return 0, 0
 

@@ -108,7 +108,7 @@ def nearest_goal_search(
             ):
                 top, chosen = gains[node], node
         if top > 0:
-            return trace_back(chosen, workspace.parents, workspace.branches, workspace.sequence)
+            return trace_back(wide(chosen), workspace.parents, workspace.branches, workspace.sequence)
         for o in range(here):
             node = pool[row, o]
             if is_guided:

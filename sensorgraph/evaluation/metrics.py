@@ -98,7 +98,9 @@ class MetricSums:
         """
         cos, sin = np.cos(self.bearings), np.sin(self.bearings)
         rows = np.full((len(measured), 4), np.nan)
-        _compare_end_points(cos, sin, measured, value, scored, MATCH_DISTANCE, np.empty((6, len(cos))), rows)
+        work = np.empty((6, len(cos)))
+        packed = np.ascontiguousarray(value)  # the kernel is compiled for this layout
+        _compare_end_points(cos, sin, measured, packed, scored, MATCH_DISTANCE, work, rows)
         there, back, recall, precision = rows[scored.any(axis=1)].T
         self.chamfer += ((there + back) / 2).tolist()
         self.f_score += (2 * recall * precision / np.maximum(recall + precision, 1e-300)).tolist()

@@ -127,7 +127,7 @@ def shape_mixture(
     return mode, end
 
 
-@kernel
+@outer_kernel
 def shape_mixtures(
     r: Floats, w: Floats, sigma: Floats, reach: float, reliability: Floats, tails: Floats
 ) -> None:
@@ -139,11 +139,13 @@ def shape_mixtures(
         for q in range(r.shape[1]):
             n = count_of(w[p, q])
             _, n = shape_mixture(r[p, q], w[p, q], sigma[p, q], n, reach, reliability, tails)
-            order = np.argsort(r[p, q, :n])
-            for values in (r[p, q], w[p, q], sigma[p, q]):
-                kept = values[order]
-                for i in range(n):  # values[:n] = kept would compile an error message for 3 s
-                    values[i] = kept[i]
+            for at in range(1, n):  # by insertion, because only the split ones are out of order
+                z, weight, s, to = r[p, q, at], w[p, q, at], sigma[p, q, at], at
+                while to > 0 and r[p, q, to - 1] > z:
+                    r[p, q, to], w[p, q, to] = r[p, q, to - 1], w[p, q, to - 1]
+                    sigma[p, q, to] = sigma[p, q, to - 1]
+                    to -= 1
+                r[p, q, to], w[p, q, to], sigma[p, q, to] = z, weight, s
 
 
 @outer_kernel

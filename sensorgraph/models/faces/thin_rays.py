@@ -97,5 +97,6 @@ def draw_thin_rays(
     """Return one reading (n_poses, n_rays) [m] of rays at poses (n_poses, 3), as `Faces.draw` describes it."""
     out = np.empty(uniform.shape)
     beams = beams_of(model, buckets, poses, rays, noise_of_poses(model, 0.0, 0.0))
+    uniform, normal = map(np.ascontiguousarray, (uniform, normal))  # the kernel is compiled for this layout
     draw_rays(beams, new_candidates(), uniform, normal, out)
     return out
