@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planners.kernel import kernel
+from planners.kernel import inner_kernel, kernel, outer_kernel
 from sensorgraph.robust import robust_sigma
 from sensorgraph.types import Bools, Floats
 
@@ -26,6 +26,8 @@ HUBER_LIMIT = 3.0
 """Limit of Huber's loss, in standard deviations."""
 ROWS_AT_A_TIME = 4096
 """Rows filtered at a time: the data stays in the cache, and a long run needs no further memory."""
+ENTRIES_AT_A_TIME = 512
+"""Entries to which all lags are added at a time: these fit into the first level of the cache."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,8 +56,9 @@ class WhiteningFilter:
         """Return some rows of the filtered columns (n, ...)."""
         first = max(rows.start - len(self.taps) + 1, 0)
         some = np.ascontiguousarray(columns[first : rows.stop])
-        out = filtered(some.reshape(len(some), math.prod(some.shape[1:])), self.taps, self.sigma)
-        return out.reshape(some.shape)[rows.start - first :]
+        out = np.zeros_like(some)
+        _filter(some.ravel(), math.prod(some.shape[1:]), self.taps, self.sigma, out.ravel())
+        return out[rows.start - first :]
 
     @classmethod
     def white(cls, order: int, sigma: float) -> WhiteningFilter:
@@ -224,10 +227,7 @@ def robust_misfit(
         variance += taps[lag] * autocovariance[lag]
     variance = max(variance, min_innovation * autocovariance[0])
     white = np.zeros(len(residual))
-    for lag in range(len(taps)):
-        tap = taps[lag]
-        for i in range(lag, len(residual)):
-            white[i] += tap * residual[i - lag]
+    _add_lagged(residual, 1, taps, white)
     sigma = np.sqrt(variance)
     loss, counted = 0.0, 0
     for i in range(len(residual)):
@@ -263,21 +263,29 @@ def _prediction_error_taps(autocovariance: Floats) -> Floats:
     return taps
 
 
-@kernel
-def filtered(columns: Floats, taps: Floats, sigma: float) -> Floats:
-    """Return columns (n, k), filtered along time and divided by sigma.
+@outer_kernel
+def _filter(rows: Floats, k: int, taps: Floats, sigma: float, out: Floats) -> None:
+    """Filter rows of k columns along time and divide them by sigma; rows before the first are zero.
 
-        out_i = sum over lag of  taps_lag columns_(i - lag) / sigma
+        out_i = sum over lag of  taps_lag rows_(i - lag) / sigma
 
-    Rows before the first are zero.
+    Parameters
+    ----------
+    rows, out : (n k,) Row by row; `out` is zero at first.
     """
-    n, k = columns.shape
-    out = np.zeros((n, k))
-    for i in range(n):
-        for lag in range(min(len(taps), i + 1)):
-            tap = taps[lag]
-            for j in range(k):
-                out[i, j] += tap * columns[i - lag, j]
-        for j in range(k):
-            out[i, j] /= sigma
-    return out
+    _add_lagged(rows, k, taps, out)
+    for i in range(len(out)):
+        out[i] /= sigma
+
+
+@inner_kernel
+def _add_lagged(rows: Floats, k: int, taps: Floats, out: Floats) -> None:
+    """Add to `out` the sum over lag of taps_lag rows_(i - lag), row by row of k columns; loops over slices become vector code."""
+    size = max(k, 1) * max(ENTRIES_AT_A_TIME // max(k, 1), 1)
+    for first in range(0, len(out), size):
+        last = min(first + size, len(out))
+        for lag in range(len(taps)):
+            begin = max(first, lag * k)
+            some, before = out[begin:last], rows[begin - lag * k :]
+            for i in range(len(some)):
+                some[i] += taps[lag] * before[i]
