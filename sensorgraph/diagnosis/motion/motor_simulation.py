@@ -113,8 +113,8 @@ class MotorSimulation:
         """Return the commands that hold in each step (n_steps, 2), `delay` [s] after they were given."""
         number, share = self._steps(delay)
         given = np.concatenate([np.zeros((2, 2)), commands])  # nothing is commanded before the first
-        held, before = given[number + 1], given[number]
-        return np.asarray(held + share[:, None] * (before - held))
+        held, back = given[1:].take(number, axis=0), (given[:-1] - given[1:]).take(number, axis=0)
+        return np.asarray(held + share[:, None] * back)
 
     def _steps(self, delay: float) -> tuple[Ints, Floats]:
         """Return how many commands hold or held in each step (n_steps,), and the share of the step before the last one.

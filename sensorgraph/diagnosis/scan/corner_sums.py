@@ -121,11 +121,20 @@ def _by_wall(
                 square[e, 0, at] += value * ends[0, i, m]
                 square[e, 1, at] += value * ends[1, i, m]
         for j in range(k):
+            at, first, last = -1, 0.0, 0.0  # neighbouring rays meet the same wall: its sums stay in registers
             for m in range(n_rays):
                 value = w[i, m] * rows[i, 3 + j, m]
-                if value != 0.0:
-                    by_wall[j, 0, wall[i, m]] += value * ends[0, i, m]
-                    by_wall[j, 1, wall[i, m]] += value * ends[1, i, m]
+                if value == 0.0:
+                    continue
+                if wall[i, m] != at:
+                    if at >= 0:
+                        by_wall[j, 0, at], by_wall[j, 1, at] = first, last
+                    at = wall[i, m]
+                    first, last = by_wall[j, 0, at], by_wall[j, 1, at]
+                first += value * ends[0, i, m]
+                last += value * ends[1, i, m]
+            if at >= 0:
+                by_wall[j, 0, at], by_wall[j, 1, at] = first, last
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
