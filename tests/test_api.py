@@ -18,6 +18,8 @@ import sensorgraph as sg
 from logs.run import Run
 from sensorgraph.planning.plan import CoveragePlan
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 FUNCTIONS = (
     "build",
     "diagnose",

@@ -20,6 +20,8 @@ from sensorgraph.show.review.contents import collect
 from sensorgraph.types import Floats
 from sensorgraph.world.orientation import orientation
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 ROOM = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (2.0, 2.0), (2.0, 2.6), (0.0, 2.6)]
 SWEEP_TIME, RATE, N_RAYS = 0.2, 5.0, 90
 SIGMA = 0.01

@@ -196,7 +196,10 @@ def test_cells_of_an_update_are_those_of_all_runs(sweeps: bool, room: Arena, tmp
 
 
 @pytest.mark.parametrize("others", ["old", *further("old and whole")])
-def test_faces_with_cells_are_updated_together(room: Arena, others: str) -> None:
+def test_faces_with_cells_are_updated_together(
+    room: Arena, others: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sensorgraph.models.cells.model.CELL_SIZE", 0.1)
     west, east = (drive(room, FEW_RAYS, 30, seed, x) for seed, x in ((1, (0.2, 2.3)), (2, (3.1, 3.8))))
     old = build([west], calibrate=False, cells=True)
     new = build([east], update=old)

@@ -22,6 +22,8 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.files import atomic_folder
 from sensorgraph.show.rerun_file import DISPLAYS, open_viewer
 
+pytestmark = pytest.mark.usefixtures("trusted_scans")
+
 
 @contextmanager
 def full_disk(size: int) -> Iterator[None]:

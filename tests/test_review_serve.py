@@ -90,7 +90,7 @@ def test_the_page_and_the_recording_are_served_on_loopback_until_ctrl_c(address:
     assert is_open(source)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, *further(signal.SIGKILL)])
+@pytest.mark.parametrize("number", further(signal.SIGTERM, signal.SIGKILL))
 def test_the_viewer_ends_with_the_command(number: signal.Signals, run_file: Path) -> None:
     words = ["review", str(run_file), "-o", str(run_file.with_suffix(".rrd")), "--serve"]
     with subprocess.Popen(
