@@ -12,6 +12,8 @@ import pytest
 from logs.files import atomic_file
 from sensorgraph.cli import run as cli
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 
 @pytest.mark.parametrize(
     "command",

@@ -21,6 +21,8 @@ from planners.vehicle import Vehicle
 from sensorgraph.cli import run as cli
 from sensorgraph.cli.plan import _least, _place
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 COARSE = ("--cell", "0.5", "--headings", "8")
 KEYS = {
     "grid", "start", "coverage", "core_coverage", "reachable_cells", "covered_cells", "drive_time_s", "t_ref_s",

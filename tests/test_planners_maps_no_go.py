@@ -14,6 +14,8 @@ from planners.check import check
 from planners.maps.no_go import without, zones
 from planners.vehicle import Vehicle
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 ROBOT = Vehicle()
 
 

@@ -14,6 +14,8 @@ from planners.methods import anytime, overview
 from planners.types import Floats
 from planners.vehicle import Limits, Vehicle
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 GRID = {"cell": 0.5, "headings": 8}
 
 

@@ -11,6 +11,8 @@ from planners import plan
 from planners.vehicle import Vehicle
 from sensorgraph.cli import progress as told
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 
 def test_progress_starts_at_no_bin_and_ends_at_all_that_are_wanted() -> None:
     said: list[tuple[int, int]] = []

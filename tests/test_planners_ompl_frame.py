@@ -17,6 +17,8 @@ from planners.task import PlannedDrive, Task
 from planners.types import Floats
 from planners.vehicle import Limits, Vehicle
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 ARENA = door_arena(0.9)
 START = np.array([0.8, 0.8, 0.3])
 

@@ -16,6 +16,8 @@ from planners.priority import BANDS, MEDIAN_RADIUS, VALUE_RANGE, bin_values, cel
 from planners.types import Floats
 from planners.vehicle import Drive, Limits, Vehicle
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 SHAPE = (9, 7, 3)
 PRIORITIES = arrays(np.float64, SHAPE, elements=st.floats(0.0, 1.0))
 TODO = arrays(np.bool_, SHAPE)

@@ -39,6 +39,8 @@ from planners.task import JoinCounts, PlannedDrive, Task
 from planners.vehicle import Drive, Limits, Vehicle
 from sensorgraph.planning.plan_folder import counted
 
+pytestmark = pytest.mark.usefixtures("narrow_search")
+
 ROBOT = Vehicle()
 GRID = {"cell": 0.5, "headings": 8}
 

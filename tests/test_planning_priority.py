@@ -15,7 +15,7 @@ from sensorgraph.graph import Sensorgraph
 from sensorgraph.planning.priority import uncertainty
 from sensorgraph.world.raycast import cast
 
-pytestmark = pytest.mark.usefixtures("trusted_scans")
+pytestmark = pytest.mark.usefixtures("trusted_scans", "narrow_search")
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from sensorgraph.planning.resume import driven_poses, other_place_warnings, shar
 from sensorgraph.world.raycast import cast
 from sensorgraph.world.robot import default_robot
 
-pytestmark = pytest.mark.usefixtures("trusted_scans")
+pytestmark = pytest.mark.usefixtures("trusted_scans", "narrow_search")
 
 
 def recorded(path: Path, poses: np.ndarray, arena: Arena | None = None, robot: str | None = None) -> Path:
