@@ -285,10 +285,7 @@ def _residuals(motion: LaserMotion, theta: Floats) -> Floats:
 def predicted(motion: LaserMotion, theta: Floats) -> Floats:
     """Return the steps (n_steps, 3) [m, m, rad] of the laser that wheels and mount of theta (9,) predict."""
     way_scale, turn_scale, heading_bias, *mount, delay, drift_x, drift_y = theta
-    track = motion.odometry
-    moved = compose(invert(track[:-1]), track[1:])
-    moved[:, 2] = np.diff(track[:, 2])
-    moved = corrected_steps(moved, way_scale, turn_scale, heading_bias)
+    moved = corrected_steps(motion.odometry_steps, way_scale, turn_scale, heading_bias)
     phi = np.concatenate([[0.0], np.cumsum(moved[:, 2])])
     cos, sin = np.cos(phi[:-1]), np.sin(phi[:-1])
     x = np.concatenate([[0.0], np.cumsum(cos * moved[:, 0] - sin * moved[:, 1])])
@@ -303,6 +300,4 @@ def predicted(motion: LaserMotion, theta: Floats) -> Floats:
     steps[:, 0] += way * (cos * drift_x + sin * drift_y)
     steps[:, 1] += way * (cos * drift_y - sin * drift_x)
     at = np.asarray(mount)
-    seen = compose(np.broadcast_to(invert(at), steps.shape), steps)
-    out = compose(seen, np.broadcast_to(at, steps.shape))
-    return np.asarray(out)
+    return compose(compose(invert(at)[None], steps), at[None])

@@ -8,6 +8,7 @@ depends on the scans alone.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -67,6 +68,13 @@ class LaserMotion:
     scatter: Floats | None = None
     """(n_steps, 3) [m², m², rad²] variance of ahead, left and turn of the steps, by the scans; None: not computed, for a
     long drive."""
+
+    @cached_property
+    def odometry_steps(self) -> Floats:
+        """(n_scans - 1, 3) [m, m, rad] motion of the odometry from each scan to the next; turns are not wrapped."""
+        moved = compose(invert(self.odometry[:-1]), self.odometry[1:])
+        moved[:, 2] = np.diff(self.odometry[:, 2])
+        return moved
 
     def part(self, chosen: slice) -> LaserMotion:
         """Return some of the steps, with the scans between them."""
