@@ -138,15 +138,17 @@ def fit_logistic(
     penalty = np.full(len(start), ridge)
     penalty[0] = INTERCEPT_RIDGE
 
+    wide = phi.astype(np.float64)  # once, not for each product with a vector
+
     def loss(beta: Floats) -> tuple[float, Floats]:
-        eta = phi @ beta
+        eta = wide @ beta
         return float(weight @ (np.logaddexp(0.0, eta) - label * eta) + penalty @ (beta - prior) ** 2 / 2), eta
 
     beta = start.copy()
     current, eta = loss(beta)
     for _ in range(steps):
         p = np.exp(-np.logaddexp(0.0, -eta))
-        gradient = phi.T @ (weight * (label - p)) - penalty * (beta - prior)
+        gradient = wide.T @ (weight * (label - p)) - penalty * (beta - prior)
         root = phi * np.sqrt(weight * p * (1.0 - p)).astype(np.float32)[:, None]
         gram = (root.T @ root).astype(np.float64)
         change = np.linalg.solve(gram + np.diag(penalty), gradient)
