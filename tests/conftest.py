@@ -68,11 +68,12 @@ def pytest_collection_finish() -> None:
 
 @contextmanager
 def without_pictures() -> Iterator[None]:
-    """Let plans and reports be written without pictures, which take a third of the time: where none is looked at."""
+    """Let plans, reports and models of signals be written without pictures, which take a third of the time: where none is looked at."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr("sensorgraph.diagnosis.report.files.draw_all", lambda *_: {})
         for name in ("plan_picture", "reach_picture", "headings_picture"):
             monkeypatch.setattr(f"sensorgraph.planning.plan_folder.{name}", lambda *_: None)
+        monkeypatch.setattr("sensorgraph.show.figures.identified.identified_picture", lambda *_: None)
         yield
 
 
@@ -107,12 +108,19 @@ def trusted_scans() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
-def narrow_search() -> Iterator[None]:
-    """Let a module search drives by a fifth of the beam, a tenth longer: where the claim is not how long they are."""
+@contextmanager
+def searching_narrowly() -> Iterator[None]:
+    """Let drives be searched by a fifth of the beam, a tenth longer: where the claim is not how long they are."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         narrow = SPIN_ROOM._replace(beam_width=SPIN_ROOM.beam_width // 5)
         monkeypatch.setattr("planners.methods.coverage_spins.SPIN_ROOM", narrow)
+        yield
+
+
+@pytest.fixture(scope="module")
+def narrow_search() -> Iterator[None]:
+    """Let a module search narrowly; single tests use `searching_narrowly`."""
+    with searching_narrowly():
         yield
 
 

@@ -156,6 +156,7 @@ def test_a_broken_table_is_told_by_its_line(
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_as_many_terms_as_samples_have_no_standard_error(tmp_path: Path) -> None:
     path, out = tmp_path / "six.csv", tmp_path / "m.json"
     path.write_text("u,y\n0.3,1.2\n-0.4,0.7\n0.9,-0.2\n0.1,0.5\n0.6,0.1\n-0.2,0.8\n")
@@ -168,6 +169,7 @@ def test_as_many_terms_as_samples_have_no_standard_error(tmp_path: Path) -> None
     assert data["outside"]["share"] is None
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_what_no_term_explains_is_said_with_noise_and_without(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -181,6 +183,7 @@ def test_what_no_term_explains_is_said_with_noise_and_without(
         assert len(json.loads(out.read_text())["terms"]) == 1
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_an_output_that_rests_where_it_is_scored_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
