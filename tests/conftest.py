@@ -35,7 +35,7 @@ from planners.trajectory import Trajectory
 from sensorgraph.cli import run as cli
 
 settings.register_profile("steady", derandomize=True, deadline=None)  # the same examples in every run
-settings.load_profile("steady")
+settings.register_profile("few", parent=settings.get_profile("steady"), max_examples=40)
 
 REAL = Path(__file__).parents[2] / "shared" / "data"
 
@@ -46,6 +46,11 @@ def ctrl_c() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Show laws by 40 examples in the quick suite, where they state no number, and by 100 with the slow tests."""
+    settings.load_profile("few" if config.getoption("markexpr") == "not slow" else "steady")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -60,12 +60,13 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
         at_x, at_y = x - side * track / 2 * math.sin(phi), y + side * track / 2 * math.cos(phi)
         return 1 - s if math.hypot(at_x - px, at_y - py) < pr else 1.0
 
-    scrub, sag = effect.get("scrub", 0.0), effect.get("sag", 0.0)
+    scrub, sag, asym = effect.get("scrub", 0.0), effect.get("sag", 0.0), effect.get("asym", 0.0)
+    spin, pile = effect.get("spin", 0.0), effect.get("pile", 0.0)
     x, y, phi, v, omega = 0.0, 0.0, 0.3, 0.0, 0.0
     poses, wheels, given = [(x, y, phi)], [(0.0, 0.0)], commands.tolist()
     for k in range(n):  # of plain floats: 16,000 steps of arrays take five times as long
         u, w = given[(k - late) // per] if k >= late else (0.0, 0.0)
-        if any(begin <= k * STEP < end for begin, end in outages):
+        if outages and any(begin <= k * STEP < end for begin, end in outages):
             u, w = 0.0, 0.0
         u, keep = min(max(u, -v_max), v_max), keeps[k * STEP >= since]
         v1, w1 = u + (v - u) * keep, w + (omega - w) * keep
@@ -75,7 +76,7 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
         slow, slow1 = 1 - sag * abs(omega), 1 - sag * abs(w1)
         way = (v * slow + v1 * slow1) / 2 * STEP * both + (omega + w1) / 4 * STEP * track * apart
         way -= scrub * abs(turn)
-        turn *= 1 - effect.get("asym", 0.0) * (turn > 0)
+        turn *= 1 - asym * (turn > 0)
         if play:
             steps = [(v + v1) / 2 * STEP + side * BASE / 4 * (omega + w1) * STEP for side in (-1.0, 1.0)]
             for wheel, step in enumerate(steps):
@@ -83,8 +84,8 @@ def make_run(seed: int, *, duration: float = 80.0, memory: float = 0.0, **effect
                 steps[wheel], slack[wheel] = step - (taken - slack[wheel]), taken
             way, turn = sum(steps) / 2, (steps[1] - steps[0]) / BASE
         if (v + v1) * (v1 - v) > 0 and abs(v1 - v) > 0.15 * STEP:
-            way *= 1 - effect.get("spin", 0.0)
-        way += effect.get("pile", 0.0) * abs(way) * math.cos(phi)
+            way *= 1 - spin
+        way += pile * abs(way) * math.cos(phi)
         middle = phi + turn / 2
         x, y, phi = x + way * math.cos(middle), y + way * math.sin(middle), phi + turn
         v, omega = v1, w1

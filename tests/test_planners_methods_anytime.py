@@ -17,6 +17,8 @@ from planners.vehicle import Limits, Vehicle
 pytestmark = pytest.mark.usefixtures("narrow_search")
 
 GRID = {"cell": 0.5, "headings": 8}
+PLACES = np.mgrid[0:40, 0:30] * 0.1 + 0.05
+"""(2, 40, 30) [m]"""
 
 
 @dataclass
@@ -27,8 +29,7 @@ class DiscSurvey:
     seen: set[tuple[int, int]] = field(default_factory=set)
 
     def _around(self, pose: Floats) -> set[tuple[int, int]]:
-        i, k = np.mgrid[0:40, 0:30]
-        near = np.hypot(i * 0.1 + 0.05 - pose[0], k * 0.1 + 0.05 - pose[1]) < self.radius
+        near = np.hypot(PLACES[0] - pose[0], PLACES[1] - pose[1]) < self.radius
         return set(zip(*(part.tolist() for part in np.nonzero(near)), strict=True))
 
     def gain(self, poses: Floats) -> Floats:
