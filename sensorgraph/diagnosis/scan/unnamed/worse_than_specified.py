@@ -26,6 +26,8 @@ LOSS_CAUSES = (
     "a weak or dirty window, or a worn laser",
     "sunlight, another laser, or a bad connection",
 )
+LEAST_LOSSES = 0.02
+"""Least share of lost returns that is reported: lasers of several makers lose up to 1 % at random."""
 MAP_CAUSES = (
     "a map that is less accurate than specified",
     "objects that have moved since the map was made",
@@ -107,22 +109,22 @@ def freed_losses(data: ScanData, final: Fitted, noise_bounds: NoiseBounds) -> No
         return None
     free = replace(noise_bounds, loss=(low, SCAN.site.wide_noise.loss[1]))
     got = fit(data, final.model, final.state.copy(), free)
-    if got.j <= final.j + SCAN.selection.threshold:
+    if got.state.noise.loss < LEAST_LOSSES or got.j <= final.j + SCAN.selection.threshold:
         return None
     return None if any(d.family == "misses" for d in deviations(FitResiduals(data, got))) else free
 
 
 def doubt_of_losses(final: Fitted) -> Doubt | None:
     """Return a laser that loses more returns than usual; None if it does not."""
-    loss, usual = final.state.noise.loss, SCAN.noise.loss[1]
-    if loss <= usual:
+    loss = final.state.noise.loss
+    if loss < LEAST_LOSSES:
         return None
     return Doubt(
         family="laser_losses",
         misfit=0.0,
         statement=f"the laser loses {100 * loss:.1f} % of the returns, and no part of them surely more",
         statistic=loss,
-        threshold=usual,
+        threshold=LEAST_LOSSES,
         size=ScanError(wrong=loss),
         causes=LOSS_CAUSES,
     )
