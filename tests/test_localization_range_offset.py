@@ -17,7 +17,7 @@ from logs.run import Run
 from logs.transforms import compose, invert, wrap
 from sensorgraph.diagnosis.motion.calibration.laser_motion import laser_motion
 from sensorgraph.localization.in_map import locate_in_map
-from sensorgraph.localization.locate import located_run
+from sensorgraph.localization.locate import corrections_of, located_run
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.range_offset import without_offset
 from sensorgraph.localization.result import Localization
@@ -65,6 +65,8 @@ def test_the_readings_stay_as_logged_and_the_motion_is_that_of_right_ranges(tmp_
     path = tmp_path / "located.mcap"
     logs.write(located, path)
     kept = logs.read(path)
+    (said,) = corrections_of(kept)
+    assert "cm too long: corrected" in said and not corrections_of(run)
     moved = laser_motion(run, kept)
     true = compose(invert(TRUTH[moved.first]), TRUTH[moved.second])
     ahead, left, _ = np.abs(np.median(moved.steps - true, axis=0))

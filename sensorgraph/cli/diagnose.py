@@ -202,10 +202,12 @@ def _drive_alone(
 ) -> None:
     """Estimate wheels and mount from runs without an arena."""
     from sensorgraph.cli.inputs import noted, print_log_notes, with_poses, with_robot
+    from sensorgraph.cli.messages import print_warnings
     from sensorgraph.cli.progress import progress
     from sensorgraph.diagnosis.motion.calibration.driving import check_odometry, diagnose_driving
     from sensorgraph.diagnosis.report.files import save_driving
     from sensorgraph.intake import log_notes
+    from sensorgraph.localization.locate import corrections_of
     from sensorgraph.world.robot import load_robot
 
     machine = None if robot is None else load_robot(robot)
@@ -221,8 +223,12 @@ def _drive_alone(
     }
     base = None if machine is None else machine.stated_base
     finding = diagnose_driving(runs, base=base, progress=noted(progress, *loaded))
-    save_driving(finding, out, {"runs": names, "robot": robot and robot.name}, log_notes(*loaded))
+    corrected = [note for _, located in runs.values() for note in corrections_of(located)]
+    save_driving(
+        finding, out, {"runs": names, "robot": robot and robot.name}, [*log_notes(*loaded), *corrected]
+    )
     print_log_notes(*loaded)
+    print_warnings(corrected)
     for line in finding.lines:
         typer.echo(line)
     typer.echo(

@@ -45,7 +45,7 @@ from sensorgraph.effects.actuator_lag import ACTUATOR_LAG
 from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import check_jumps, check_moves, log_notes
-from sensorgraph.localization.locate import is_located
+from sensorgraph.localization.locate import corrections_of, is_located
 from sensorgraph.types import ProgressBars, no_progress
 from sensorgraph.world.pixel_walls import is_raster
 from sensorgraph.world.robot import Robot
@@ -223,7 +223,7 @@ def _laid_on_arena(
         data, notes = _prepare(run, arena, robot, known, baseline, None)
     alignment = align(data, rng)
     notes["arena"], notes["share_at_walls"] = alignment.sentence(), alignment.share
-    notes["log_notes"] = log_notes(run)
+    notes["log_notes"] = [*log_notes(run), *corrections_of(run)]
     return _Laid(data=data, notes=notes, alignment=alignment, arena=arena, robot=robot, pixels=pixels)
 
 

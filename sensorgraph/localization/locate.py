@@ -36,6 +36,8 @@ POSE_SOURCE = "locate"
 ATTACHMENT = "localization.json"
 """Attachment of a located run with the localization summary."""
 _kept_walls = WeakKeyDictionary[Arena | Sensorgraph, MapWalls]()
+CORRECTED = ": corrected"
+"""In the notes on what the run shows and its log states otherwise."""
 COLUMNS = ("t", "x", "y", "phi", "sigma_x", "sigma_y", "sigma_phi", "status", "map")
 
 
@@ -142,6 +144,13 @@ def located_run(run: Run, found: Localization) -> Run:
         meta={**meta, "pose_source": POSE_SOURCE},
         attachments={**run.attachments, ATTACHMENT: (json.dumps(summary(found), indent=1) + "\n").encode()},
     )
+
+
+def corrections_of(run: Run) -> list[str]:
+    """Return what `locate` corrected in the data of the laser, for reports on the located run: ray bearings, times and ranges."""
+    kept = run.attachments.get(ATTACHMENT)
+    notes = [] if kept is None or not is_located(run) else json.loads(kept)["notes"]
+    return [f"{run.meta.get('source', 'the run')}: {note}" for note in notes if CORRECTED in note]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
