@@ -22,6 +22,7 @@ from sensorgraph.localization.turning_pieces import (
     TurningPieces,
     sweep_basis,
 )
+from sensorgraph.types import Floats
 
 LEAST = 2.0
 """Smallest offset that is corrected, in standard deviations of a range. Below, other errors of real lasers matter as much, which
@@ -76,7 +77,8 @@ def identify_range_offset(
         found = equations.estimate(basis)
         value += found.range_offset
         stderr = found.range_offset_sd
-        if abs(found.range_offset) < stderr:
+        is_small = 2.0 * abs(value) < LEAST * equations.noise  # a step finds half, or more
+        if is_small or abs(found.range_offset) < stderr:
             break
         there = replace(pieces.run, sensor=sensor)
         there = replace(there, ranges=without_offset(there, value))
@@ -86,7 +88,7 @@ def identify_range_offset(
     return OffsetOfRanges(value=value, stderr=stderr)
 
 
-def without_offset(run: Run, offset: float) -> np.ndarray:
+def without_offset(run: Run, offset: float) -> Floats:
     """Return the ranges (n_scans, n_rays) [m] of a run without an offset [m]; those that `scan_points` leaves out are no returns."""
     left_out = np.where(np.isfinite(run.ranges), np.nan, run.ranges)
     return np.where(is_used(run), run.ranges - offset, left_out)
