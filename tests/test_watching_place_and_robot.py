@@ -245,7 +245,7 @@ def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:
             "wheel_radius_diff",
             {"rad_per_m": 0.0244},
             {"rad_per_m": 0.0043},
-            "wheel radius diff +1.40 ± 0.25°/m",
+            "heading bias +1.40 ± 0.25°/m",
         ),
         ("blocked_sector", {"from_rad": -0.2, "to_rad": 0.1}, {}, "blocked sector from −11.5° to 5.73°"),
     ],
@@ -319,7 +319,7 @@ def test_odometry_that_neither_slip_nor_an_encoder_explains_is_unlike_the_motion
 
 def test_the_page_states_no_size_that_the_drive_does_not_show() -> None:
     """A robot that only stood had wheels of −382 ± 2010 % on its page."""
-    for error, shown in ((20.1, "not shown by this drive"), (0.004, "wheel radius +1.2 ± 0.4 %")):
+    for error, shown in ((20.1, "not shown by this drive"), (0.004, "distance scale +1.2 ± 0.4 %")):
         doubt = FaultDoubt(
             name="wheel_radius", p=0.0, parameters={"scale": 0.012}, stderr={"scale": error}, nats=0.0
         )

@@ -20,6 +20,8 @@ from typing import Any, Generic, Protocol, TypeVar
 from scipy.special import expit
 
 from sensorgraph.diagnosis.report.quantities import number
+from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
+from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.watching.settings import FaultPrior
 
 UNITS = {
@@ -27,6 +29,9 @@ UNITS = {
     "scale": (1e2, " %"), "share": (1e2, " %"), "from_rad": (math.degrees(1.0), "°"), "to_rad": (math.degrees(1.0), "°"),
 }  # fmt: skip
 """Key of a size -> factor and unit for readers."""
+WORDS = {WHEEL_RADIUS.name: "distance scale", WHEEL_RADIUS_DIFF.name: "heading bias"}
+"""Name -> quantity that is printed, as `locate` and the calibration print it: what the odometry misses. The size of the effect of
+this name has the opposite sign: what the odometry reports in excess."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +72,7 @@ class FaultDoubt:
         sizes = between.join(
             _size(key, value, self.stderr.get(key, math.inf)) for key, value in self.parameters.items()
         )
-        return f"{self.name.replace('_', ' ')} {sizes}"
+        return f"{WORDS.get(self.name, self.name.replace('_', ' '))} {sizes}"
 
 
 def _size(key: str, value: float, stderr: float) -> str:
