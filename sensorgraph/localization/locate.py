@@ -149,7 +149,7 @@ def located_run(run: Run, found: Localization) -> Run:
 def corrections_of(run: Run) -> list[str]:
     """Return what `locate` corrected in the data of the laser, for reports on the located run: ray bearings, times and ranges."""
     kept = run.attachments.get(ATTACHMENT)
-    notes = [] if kept is None or not is_located(run) else json.loads(kept)["notes"]
+    notes = [] if kept is None or not is_located(run) else json.loads(kept).get("notes", [])
     return [f"{run.meta.get('source', 'the run')}: {note}" for note in notes if CORRECTED in note]
 
 

@@ -55,8 +55,8 @@ class TrackedRun:
 def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
     """Track all scans, with the ray times and ranges of the log or, if the run contradicts them, with those that it shows.
 
-    Ray times and bearings of a robot.yaml are not tested. Rays are deskewed with the velocity of the odometry. Without odometry a first track without deskewing gives
-    the velocity, and the scans are tracked again.
+    Ray times of a robot.yaml are not tested, nor are the bearings beside them. Rays are deskewed with the velocity of the odometry.
+    Without odometry, a first track without deskewing gives the velocity, and the scans are tracked again.
     """
     measured, odometry_motion, filled = odometry_of(run), None, tuple[str, ...]()
     if measured is not None:
@@ -114,7 +114,7 @@ def _corrected(
 
     Parameters
     ----------
-    is_given : The sensor is that of a robot.yaml; only the ranges are tested.
+    is_given : A robot.yaml states the ray times; only the ranges are tested.
     """
     widening, notes = small_sample(int(pieces.piece[-1]) + 1), tuple[str, ...]()
     if is_given:
