@@ -30,7 +30,7 @@ from sensorgraph.localization.known_map import MapWalls
 from sensorgraph.localization.locate import walls_of_place
 from sensorgraph.localization.mapping import map_run
 from sensorgraph.localization.odometry import odometry_at_scans, odometry_of
-from sensorgraph.localization.range_offset import without_offset
+from sensorgraph.localization.range_offset import with_ranges
 from sensorgraph.localization.result import Localization
 from sensorgraph.localization.scans import scan_points
 from sensorgraph.recording.controllers import WallFollowing
@@ -205,17 +205,14 @@ def compare_sharpness(data: Path) -> None:
             print("  the published log holds other rays")
             continue
         for label, poses in (("published", theirs), ("located", found.poses[chosen])):
-            taken = run if label == "published" else with_found_laser(run, found)
+            taken = run
+            if label == "located":  # with the ray times, bearings and ranges that were found
+                taken = with_ranges(replace(run, sensor=found.sensor or run.sensor), found.range_offset)
             d = 100 * sharpness(*in_map(taken, chosen, poses))
             print(
                 f"  {label:10s} {len(chosen)} scans: median {np.median(d):.2f} cm, within 5 cm {np.mean(d < 5):.3f}, "
                 f"within 2 cm {np.mean(d < 2):.3f}"
             )
-
-
-def with_found_laser(run: Run, found: Localization) -> Run:
-    """Return a run with the ray times, bearings and ranges that `locate` found."""
-    return replace(run, sensor=found.sensor or run.sensor, ranges=without_offset(run, found.range_offset))
 
 
 def read_relations(data: Path) -> Floats:

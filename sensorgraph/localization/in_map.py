@@ -118,9 +118,9 @@ def _seen_against(place: KnownMap, scans: ScanPoints, poses: Floats, offset: flo
     scans : Corrected by all of the offset.
     poses : (n_scans, 3) [m, m, rad] nan: not located.
     """
-    located = np.flatnonzero(np.isfinite(poses[:, 0]))
     if not offset:
         return 0.0
+    located = np.flatnonzero(np.isfinite(poses[:, 0]))
     some = np.full_like(poses, np.nan)
     chosen = located[evenly(len(located), OFFSET_SCANS)]
     some[chosen] = poses[chosen]

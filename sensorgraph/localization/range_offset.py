@@ -80,8 +80,7 @@ def identify_range_offset(
         is_small = 2.0 * abs(value) < LEAST * equations.noise  # a step finds half, or more
         if is_small or abs(found.range_offset) < stderr:
             break
-        there = replace(pieces.run, sensor=sensor)
-        there = replace(there, ranges=without_offset(there, value))
+        there = with_ranges(replace(pieces.run, sensor=sensor), value)
         equations = replace(pieces, run=there).linearised(sensor.ray_delays, motion)
     if abs(value) < LEAST * equations.noise or value**2 <= widening * MIN_GAIN * stderr**2:
         return OffsetOfRanges()
