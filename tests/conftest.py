@@ -124,7 +124,14 @@ def searching_narrowly() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def narrow_search() -> Iterator[None]:
-    """Let a module search narrowly; single tests use `searching_narrowly`."""
+    """Let a module search narrowly; single tests use `narrow_search_once`."""
+    with searching_narrowly():
+        yield
+
+
+@pytest.fixture
+def narrow_search_once() -> Iterator[None]:
+    """Let one test search narrowly."""
     with searching_narrowly():
         yield
 

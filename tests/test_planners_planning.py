@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 import shapely
 import yaml
-from conftest import searching_narrowly
 from planners_samples import door_arena, outlined, shipped
 
 from planners import PLANNERS, Plan, PlanError, plan
@@ -34,12 +32,6 @@ def fresh(made: Plan) -> Coverage:
     return Coverage.empty(
         origin=grid.origin, cell=grid.cell, cells=grid.reachable.any(axis=2), headings=grid.headings
     )
-
-
-@pytest.fixture
-def narrow() -> Iterator[None]:
-    with searching_narrowly():
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +188,7 @@ def test_importing_planners_does_not_import_ompl() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.usefixtures("narrow")
+@pytest.mark.usefixtures("narrow_search_once")
 def test_a_plan_begins_where_it_was_told_to() -> None:
     start = np.array([1.3, 2.2, 1.0])
     made = plan(door_arena(0.9), ROBOT, cell=0.5, headings=4, start=start)
@@ -204,7 +196,7 @@ def test_a_plan_begins_where_it_was_told_to() -> None:
     assert made.report["coverage"] == 1.0
 
 
-@pytest.mark.usefixtures("narrow")
+@pytest.mark.usefixtures("narrow_search_once")
 def test_a_closed_door_halves_what_counts_and_is_said() -> None:
     open_ = plan(door_arena(0.9), ROBOT, cell=0.5, headings=4)
     closed = plan(door_arena(0.0), ROBOT, cell=0.5, headings=4, start=np.array([1.0, 1.0, 0.0]))
@@ -339,7 +331,7 @@ def test_other_grids_and_robots_are_filled_too(cell: float, headings: int, limit
     assert made.report["limit_violations"] == 0
 
 
-@pytest.mark.usefixtures("narrow")
+@pytest.mark.usefixtures("narrow_search_once")
 def test_progress_runs_to_its_total() -> None:
     said: list[tuple[int, int]] = []
     plan(
