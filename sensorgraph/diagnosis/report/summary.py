@@ -84,13 +84,10 @@ def summarise(finding: Finding) -> Summary:
         outcome = Outcome.FOUND
     else:
         headline, outcome = "Nothing material found.", Outcome.NOTHING
-        agreement = _agreement(finding)
+        who = "The scans agree with a simulation" if nameless else "Simulation and measurement agree"
+        details.insert(0, _agreement(finding, who))
         if nameless:
             headline, outcome, nameless = f"{nameless[0]}.", Outcome.FOUND, nameless[1:]
-            agreement = agreement.replace(
-                "Simulation and measurement agree", "The scans agree with a simulation"
-            )
-        details.insert(0, agreement)
     details[:0] = [f"{text}." for text in nameless]
     if unknown is not None:
         text = deviation_text(unknown.deviation) if unknown.deviation is not None else unknown.statement
@@ -165,13 +162,13 @@ def _noise_sentences(compared: SimulationComparison) -> list[str]:
     ]
 
 
-def _agreement(finding: Finding) -> str:
-    """State that simulation and measurement agree, and under which condition."""
+def _agreement(finding: Finding, who: str) -> str:
+    """State that simulation and measurement agree, in the words of `who`, and under which condition."""
     worse = _worse_than_stated(finding)
     if not worse:
         what = "the tolerances" if tolerated(finding) else "the accuracy of a careful setup"
-        return f"Simulation and measurement agree within {what}{_but_for_poses(finding)}."
-    return f"Simulation and measurement agree only if {worse} than robot.yaml specifies."
+        return f"{who} within {what}{_but_for_poses(finding)}."
+    return f"{who} only if {worse} than robot.yaml specifies."
 
 
 def _but_for_poses(finding: Finding) -> str:

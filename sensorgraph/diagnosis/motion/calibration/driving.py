@@ -58,8 +58,7 @@ class DrivingFinding:
         if len(names) > 1:
             return verdict(self.differences, names[0], names[1])
         found = self.runs[names[0]]
-        delay = [f"{delay_text(found).capitalize()}."] if is_delayed(found) else []
-        return [headline(found, self.changes[names[0]]), *delay]
+        return [headline(found, self.changes[names[0]]), *(f"{text}." for text in _delays(found))]
 
     @property
     def nameless(self) -> list[str]:
@@ -72,9 +71,7 @@ class DrivingFinding:
                 f"The odometry misses a {q.title} of {q.text(bias, sd)}: wheels of unequal size, of which the wheelbase "
                 "(wheels.base in robot.yaml) gives the effect"
             )
-        if is_delayed(found):
-            out.append(delay_text(found).capitalize())
-        return [*out, *([] if change is None else [change.sentence])]
+        return [*out, *_delays(found), *([] if change is None else [change.sentence])]
 
     def lines_of(self, name: str) -> list[str]:
         """Return the calibration of one run, one line per quantity."""
@@ -230,6 +227,11 @@ def _delay_lines(found: DrivingCalibration) -> list[str]:
 def is_delayed(found: DrivingCalibration) -> bool:
     """Tell whether scans and odometry surely have other times than their stamps, by as much as matters."""
     return "delay" not in found.hidden and QUANTITIES["delay"].is_off(*found.of("delay"))
+
+
+def _delays(found: DrivingCalibration) -> list[str]:
+    """Return the delay that matters as a sentence, if there is one."""
+    return [delay_text(found).capitalize()] if is_delayed(found) else []
 
 
 def delay_text(found: DrivingCalibration) -> str:

@@ -10,19 +10,14 @@ from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed, s
 from sensorgraph.diagnosis.scan.unnamed.objects import OBJECT_AT_WALL, TEMPORARY_OBJECT
 from sensorgraph.diagnosis.scan.unnamed.scans_elsewhere import SCANS_ELSEWHERE
 from sensorgraph.diagnosis.scan.unnamed.unexplained import SCANS_DIFFER, UNEXPLAINED
-from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import (
-    LASER_LOSSES,
-    LASER_SCATTER,
-    WORSE_THAN_SPECIFIED,
-)
+from sensorgraph.diagnosis.scan.unnamed.worse_than_specified import WORSE_LASER, WORSE_THAN_SPECIFIED
 
 UNNAMED: dict[str, Unnamed] = {
     "absorbed_readings": ABSORBED_READINGS,
     "object_at_wall": OBJECT_AT_WALL,
     "temporary_object": TEMPORARY_OBJECT,
     "worse_than_specified": WORSE_THAN_SPECIFIED,
-    "laser_scatter": LASER_SCATTER,
-    "laser_losses": LASER_LOSSES,
+    "worse_laser": WORSE_LASER,
     "scans_differ": SCANS_DIFFER,
     "unexplained": UNEXPLAINED,
     "error_profiles": ERROR_PROFILES,

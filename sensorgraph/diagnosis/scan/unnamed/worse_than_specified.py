@@ -68,10 +68,13 @@ WORSE_THAN_SPECIFIED = Unnamed(
     find=find,
 )
 
-LASER_SCATTER = Unnamed(titles={"laser_scatter": "a laser that scatters more than specified"})
-"""The scatter of the laser is tested before the effects ..."""
-LASER_LOSSES = Unnamed(titles={"laser_losses": "a laser that loses returns everywhere"})
-"""... and so are its losses."""
+WORSE_LASER = Unnamed(
+    titles={
+        "laser_scatter": "a laser that scatters more than specified",
+        "laser_losses": "a laser that loses returns everywhere",
+    }
+)
+"""Scatter and losses of the laser are tested before the effects."""
 
 
 def freed_scatter(data: ScanData, final: Fitted, noise_bounds: NoiseBounds) -> NoiseBounds | None:
