@@ -177,6 +177,21 @@ def test_ranges_that_are_too_long_by_an_offset_are_named() -> None:
     assert end.faults[0].parameters["m"] == pytest.approx(0.04, abs=3 * end.faults[0].stderr["m"])
 
 
+def test_an_offset_of_the_ranges_moves_neither_the_tracked_pose_nor_the_mount() -> None:
+    """A laser that looks ahead and reads too long seems to stand further back."""
+    poses = np.concatenate(
+        [loop_poses(80), loop_poses(1) + [0.0, 0.0, 1.0] * np.linspace(0.1, 2 * np.pi, 40)[:, None]]
+    )
+    run = room_run(poses, seed=18)
+    ranges = np.where(np.abs(run.sensor.bearings) < np.pi / 2, run.ranges + 0.04, np.nan)
+    end = last(believing(replace(run, ranges=ranges), poses))
+    assert names(end) == {"range_bias"}
+    assert end.pose.pose is not None
+    assert np.hypot(*(end.pose.pose - poses[-1])[:2]) < 0.005
+    mount = next(doubt for doubt in end.doubts if doubt.name == "mount_x")
+    assert abs(mount.parameters["m"]) < 0.01
+
+
 @pytest.mark.parametrize("fault", [*DISTANCE_FAULTS, *LASER_FAULTS], ids=lambda fault: fault.name)
 def test_evidence_grows_with_the_size_and_is_against_a_fault_at_the_baseline(fault) -> None:  # type: ignore[no-untyped-def]
     base = Baseline(value=0.01, tolerance=0.0)

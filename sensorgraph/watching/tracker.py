@@ -155,7 +155,8 @@ class PoseTracker:
         if is_jump:
             self.missing.nats = math.inf
         velocity = step / dt if dt > 0 and not is_jump and step.any() else self.velocity
-        scan = points_of(self.readings.sensor, observation, velocity)
+        ranges = observation.ranges - self.offset.value
+        scan = points_of(self.readings.sensor, replace(observation, ranges=ranges), velocity)
         slip = self.slip * dt
         weight, changed = 1.0, 0.0
         if self._last is not None:  # a robot that stands and sees something else was carried
