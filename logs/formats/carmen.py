@@ -105,7 +105,13 @@ def read(path: Path, how: ReadOptions) -> Run:
             "format": "carmen",
             "scan_topic": kind,
             "pose_source": source,
-            **({"clock": "assumed"} if clock.is_assumed else {}),
+            **(
+                {"clock": "assumed"}
+                if clock.is_assumed
+                else {"clock": "order of the lines"}
+                if clock.lines is not None
+                else {}
+            ),
             **({"notes": "; ".join(notes + found.notes)} if notes or found.notes else {}),
         },
     )

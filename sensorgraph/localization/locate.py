@@ -24,7 +24,7 @@ from sensorgraph.localization.graph_walls import seen_by_graph, walls_of_graph
 from sensorgraph.localization.in_map import locate_in_map
 from sensorgraph.localization.known_map import MapWalls
 from sensorgraph.localization.mapping import map_run
-from sensorgraph.localization.odometry import with_spread_stamps
+from sensorgraph.localization.odometry import with_one_odometry, with_spread_stamps
 from sensorgraph.localization.odometry_check import check_turns, with_checked_odometry
 from sensorgraph.localization.range_offset import RANGE_OFFSET
 from sensorgraph.localization.result import Closure, Localization, stretches_of, true_intervals
@@ -122,9 +122,9 @@ def is_located(run: Run) -> bool:
 
 
 def located_run(run: Run, found: Localization) -> Run:
-    """Return the run with the poses of the located scans as its reference; all else is unchanged.
+    """Return the run with the poses of the located scans as its reference.
 
-    If ray times were identified, its sensor has these.
+    If ray times were identified, its sensor has these. Of a log with two odometries, it keeps the one that was used.
     """
     ok = np.array(found.status) == "ok"
     if not ok.any():
@@ -135,7 +135,7 @@ def located_run(run: Run, found: Localization) -> Run:
     if found.range_offset:
         meta[RANGE_OFFSET] = f"{found.range_offset:.5f}"
     return replace(
-        run,
+        with_one_odometry(run),
         sensor=found.sensor or run.sensor,
         pose_stamps=run.stamps[ok],
         poses=found.poses[ok],
