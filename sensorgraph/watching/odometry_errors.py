@@ -7,11 +7,13 @@ The state is the pose (x, y, phi) of base_link in map and the errors
     k    [rad/m] turn that it misses per metre,
     a    [rad] angle by which the laser is turned more than stated,
     l    [m, m] way ahead and left from the stated place of the laser to its true one,
-    T    [s] time by which a scan is later than its stamp.
+    T    [s] time by which a scan is later than its stamp,
+    f    [m/m, m/m] drift with the floor per metre driven, along x and y of map: a slope, or the nap of a carpet.
 
-A step (dx, dy, dphi) of the odometry moves the pose by R(-a) ((1 + e_d) dx, (1 + e_d) dy) and (1 + e_t) dphi + k |d|, as the
-tracked heading contains a. A tracked pose is that of the robot T later: it is ahead by v T and omega T. It is moved by l, which
-the robot's turns show.
+A step (dx, dy, dphi) of the odometry moves the pose by R(-a) ((1 + e_d) dx, (1 + e_d) dy) + f |d| and (1 + e_t) dphi + k |d|, as
+the tracked heading contains a. A tracked pose is that of the robot T later: it is ahead by v T and omega T. It is moved by l,
+which the robot's turns show. The drift f belongs to the floor and is no error of the robot: a robot that drives in one direction
+cannot tell it from e_d and a.
 
 Each stamp has its own error, so that a tracked pose of a moving robot is scattered along its motion. Such errors do not
 add up over the way, unlike those of the odometry. How much those add up depends on robot and floor, so it is estimated: one
@@ -21,15 +23,18 @@ estimation of sampled stochastic processes").
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from logs.transforms import compose, difference
 from sensorgraph.types import Floats
+from sensorgraph.watching.evidence import Baseline
 from sensorgraph.watching.settings import DISTANCE_FAULTS
 
 N_ERRORS = len(DISTANCE_FAULTS)
-MOUNT = slice(4, 6)
-"""Place of l among the errors."""
+MOUNT, LATE, FLOOR = slice(4, 6), N_ERRORS - 1, slice(N_ERRORS, N_ERRORS + 2)
+"""Places of l, T and f among the errors and f."""
 STEP_NOISE = np.array([0.015, 0.008, 0.008])
 """[m, m, rad] Standard deviations of the odometry after one metre; they grow with the square root of the distance."""
 TURN_NOISE = np.array([0.01, 0.01, 0.015])
@@ -43,6 +48,8 @@ POSE_NOISE = np.array([0.005, 0.005, 0.008])
 `STAMP_NOISE` have the greatest likelihood on the second half of the fr079 log."""
 STAMP_NOISE = 0.03
 """[s] Standard deviation of the stamps of scans; 27 ms on fr079, 44 ms on ACES."""
+UNKNOWN_FLOOR = Baseline(tolerance=0.01)
+"""[m/m] Drift with a floor of which nothing is known: 2 mm/m on fr079, 6 on ACES and 16 on Intel (`diagnose`)."""
 OUTLIER = 30.0
 """Squared normalised innovation above which a step was no motion of this model (slip, a push, another place)."""
 
@@ -50,11 +57,13 @@ OUTLIER = 30.0
 class OdometryErrors:
     """Estimates the errors of one collection of evidence."""
 
-    def __init__(self) -> None:
+    def __init__(self, floor: Sequence[Baseline] = (UNKNOWN_FLOOR, UNKNOWN_FLOOR)) -> None:
         self.age = 0.0
-        n = 3 + N_ERRORS
-        sizes = np.array([fault.size for fault in DISTANCE_FAULTS])
-        self.mean = np.zeros((len(LEVELS), n))
+        sizes = np.array(
+            [*(fault.size for fault in DISTANCE_FAULTS), *(max(one.tolerance, 1e-6) for one in floor)]
+        )
+        self.mean = np.zeros((len(LEVELS), 3 + len(sizes)))
+        self.mean[:, 3:][:, FLOOR] = [one.value for one in floor]
         self.covariance = np.tile(np.diag(np.concatenate([np.full(3, 1e-3), sizes**2])), (len(LEVELS), 1, 1))
         self.log_likelihood = np.zeros(len(LEVELS))
         self.has_pose = False
@@ -85,8 +94,7 @@ class OdometryErrors:
 
     def _begin(self, twist: Floats, tracked: Floats) -> None:
         """Set the pose at which the tracked one would be seen; how far it is behind depends on the time error."""
-        late = self.mean[:, -1]
-        phi = tracked[2] - twist[1] * late
+        phi = tracked[2] - twist[1] * self.mean[:, 3 + LATE]
         by = _by_errors(phi, twist)
         moved = by[:, :2] @ self.mean[:, 3:, None]
         self.mean[:, :2] = tracked[:2] - moved[:, :, 0]
@@ -107,13 +115,21 @@ class OdometryErrors:
     def estimates(self) -> tuple[Floats, Floats]:
         """Return values and standard errors (n_errors,) of the data alone, without the prior."""
         prior = np.array([fault.size for fault in DISTANCE_FAULTS]) ** 2
-        variance = np.diagonal(self.covariance, axis1=1, axis2=2)[:, 3:]
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2)[:, 3 : 3 + N_ERRORS]
         own = 1.0 / np.maximum(1.0 / variance - 1.0 / prior, 1e-9)  # [of the data]
-        values = self.mean[:, 3:] / variance * own
+        values = self.mean[:, 3 : 3 + N_ERRORS] / variance * own
         p = self.levels
         mean = p @ values
         spread = own * np.maximum(self.scale, 1.0)[:, None] + (values - mean) ** 2
         return mean, np.sqrt(p @ spread)
+
+    def floor(self) -> tuple[Floats, Floats]:
+        """Return the drift with the floor (2,) [m/m] and its standard deviations (2,), with the prior."""
+        p = self.levels
+        values = self.mean[:, 3:][:, FLOOR]
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2)[:, 3:][:, FLOOR]
+        mean = p @ values
+        return mean, np.sqrt(p @ (variance + (values - mean) ** 2))
 
     @property
     def freedom(self) -> float:
@@ -126,6 +142,7 @@ class OdometryErrors:
 
     def _move(self, step: Floats) -> None:
         phi, e_d, e_t, k, a = self.mean[:, 2:7].T
+        floor = self.mean[:, 3:][:, FLOOR]
         way = float(np.hypot(step[0], step[1]))
         forward = way if step[0] >= 0 else -way
         cos, sin = np.cos(phi - a), np.sin(phi - a)
@@ -135,8 +152,9 @@ class OdometryErrors:
         jacobian[:, 0, 3], jacobian[:, 1, 3] = dx, dy
         jacobian[:, 2, 4], jacobian[:, 2, 5] = step[2], forward
         jacobian[:, 0, 6], jacobian[:, 1, 6] = (1 + e_d) * dy, -(1 + e_d) * dx
-        self.mean[:, 0] += (1 + e_d) * dx
-        self.mean[:, 1] += (1 + e_d) * dy
+        jacobian[:, 0, 3 + FLOOR.start] = jacobian[:, 1, 4 + FLOOR.start] = way
+        self.mean[:, 0] += (1 + e_d) * dx + way * floor[:, 0]
+        self.mean[:, 1] += (1 + e_d) * dy + way * floor[:, 1]
         self.mean[:, 2] += (1 + e_t) * step[2] + k * forward
         noise = LEVELS**2 * (STILL_NOISE**2 + STEP_NOISE**2 * way + TURN_NOISE**2 * abs(step[2]))[:, None]
         self.covariance = jacobian @ self.covariance @ jacobian.transpose(0, 2, 1)
@@ -145,7 +163,7 @@ class OdometryErrors:
         self.covariance[:, 2, 2] += noise[2]
 
     def _correct(self, twist: Floats, tracked: Floats, noise: Floats) -> float:
-        phi, late, mount = self.mean[:, 2], self.mean[:, -1], self.mean[:, 3:][:, MOUNT]
+        phi, late, mount = self.mean[:, 2], self.mean[:, 3 + LATE], self.mean[:, 3:][:, MOUNT]
         ahead = np.column_stack([twist[0] * late + mount[:, 0], mount[:, 1], twist[1] * late])
         off = difference(tracked, compose(self.mean[:, :3], ahead))
         by = _by_errors(phi, twist)
@@ -171,10 +189,10 @@ class OdometryErrors:
 
 
 def _by_errors(phi: Floats, twist: Floats) -> Floats:
-    """Return the derivative (n_levels, 3, n_errors) of the tracked pose by the errors, at headings (n_levels,)."""
-    by = np.zeros((len(phi), 3, N_ERRORS))
+    """Return the derivative (n_levels, 3, n_errors + 2) of the tracked pose by the errors and f, at headings (n_levels,)."""
+    by = np.zeros((len(phi), 3, N_ERRORS + 2))
     by[:, :2, MOUNT] = _turn(phi)
-    by[:, :, -1] = np.column_stack(
+    by[:, :, LATE] = np.column_stack(
         [twist[0] * np.cos(phi), twist[0] * np.sin(phi), np.full(len(phi), twist[1])]
     )
     return by
@@ -182,7 +200,7 @@ def _by_errors(phi: Floats, twist: Floats) -> Floats:
 
 def _of_stamps(by: Floats) -> Floats:
     """Return the covariance (n_levels, 3, 3) of a tracked pose from the error of its stamp."""
-    return np.asarray(STAMP_NOISE**2 * by[:, :, -1:] * by[:, None, :, -1])
+    return np.asarray(STAMP_NOISE**2 * by[:, :, LATE, None] * by[:, None, :, LATE])
 
 
 def _turn(phi: Floats) -> Floats:
