@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import further
 from ident_samples import simulate
 from scipy.signal import lfilter
 
@@ -95,6 +96,22 @@ def test_held_out_records_have_the_size_too() -> None:
         model = fit(first, "y", Terms.parse(*TRUTH), n_terms=4)
         out += [len(c.alarms) / len(c.lags) for c in validate(model, second, fitted=False)]
     assert np.mean(out) == pytest.approx(0.05, abs=0.015)
+
+
+@pytest.mark.parametrize("seeds", [range(24000, 24060), *further(range(24060, 24460))])
+def test_errors_of_the_coefficients_raise_no_alarm_on_held_out_records(seeds: range) -> None:
+    single: dict[str, list[float]] = {}
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        # slow: the second half leaves the range of the first
+        u = 0.2 * lfilter([1], [1, -0.98], rng.normal(size=1000))
+        first, second = halves(simulate(TRUTH, {"u": u}, rng.normal(0, 0.5, 1000)))
+        model = fit(first, "y", Terms.parse(*TRUTH), n_terms=4)
+        for check in validate(model, second, fitted=False):
+            single.setdefault(check.test, []).append(len(check.alarms) / len(check.lags))
+    rates = {test: float(np.mean(values)) for test, values in single.items()}
+    # neighbouring lags of a slow input are one lag: 3 sigma of as many independent cases as seeds
+    assert max(rates.values()) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / len(seeds)), rates
 
 
 def test_no_residual_is_paired_across_a_gap() -> None:

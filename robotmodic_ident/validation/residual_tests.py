@@ -9,6 +9,10 @@ Each test correlates the residual e(k) with a past quantity z(k - lag): e, an in
 
 The projection accounts for the correlation that the fit has already removed. Without it, bounds of 1.96 / sqrt(n) are
 too wide at small lags. For tests of e², M only removes the mean.
+
+On other records, M is the identity, and the residual e - G d contains the errors d of the coefficients, with G the gradients
+and C the covariance of d. They widen the bounds: `V = sigma² Z'Z + Z'G C G'Z`. In tests of e², d adds tr(A C) to the score
+and 2 tr(A C A C) to its variance, with `A = G' diag(z) G` at each lag.
 """
 
 from __future__ import annotations
@@ -69,7 +73,7 @@ def validate(
     ----------
     max_lag : [samples]
     inputs : Signals to test against; None: those of the model.
-    fitted : Whether the model was fitted on these records; on other records, no projection is needed.
+    fitted : Whether the model was fitted on these records; on others, the errors of its coefficients widen the bounds.
 
     Raises
     ------
@@ -119,6 +123,7 @@ class _ResidualData:
 
     def __init__(self, model: Narmax, records: Sequence[Record], max_lag: int) -> None:
         self.max_lag = max_lag
+        self.covariance = model.covariance
         problem = NonlinearLeastSquares(model.recursion(), records)
         _, self.e, self.gradients = problem.evaluate(model.parameters, gradient=True)
         self.rows = problem.rows
@@ -162,7 +167,8 @@ class _ResidualData:
             targets.append(e[use])
             regressors.append(delayed[use])
             nuisance.append(g[use])
-        target, Z = _unit_scaled(np.concatenate(targets)), _unit_scaled(np.concatenate(regressors))
+        target, unit = _unit_scaled(np.concatenate(targets))
+        Z, _ = _unit_scaled(np.concatenate(regressors))
         G = np.concatenate(nuisance)
         n = len(target)
         if n <= len(lags) + 1:
@@ -174,11 +180,21 @@ class _ResidualData:
             basis = _orthonormal(G)
             free = Z - basis @ (basis.T @ Z)
         used = self.gradients[0].shape[1] if fitted else 0
-        return _test_result(test, lags, target, Z, free, used)
+        shift, spread = np.zeros(len(lags)), np.zeros((len(lags), len(lags)))
+        if not fitted:
+            shift, spread = _coefficient_errors(free, unit * G, self.covariance, of_squares)
+        return _test_result(test, lags, target, Z, free, used, shift, spread)
 
 
 def _test_result(
-    test: str, lags: NDArray[np.int64], target: Floats, Z: Floats, free: Floats, used: int
+    test: str,
+    lags: NDArray[np.int64],
+    target: Floats,
+    Z: Floats,
+    free: Floats,
+    used: int,
+    shift: Floats,
+    spread: Floats,
 ) -> ResidualTest:
     """Correlate the target with Z (n, n_lags).
 
@@ -186,13 +202,14 @@ def _test_result(
     ----------
     free : (n, n_lags) M Z, the part of Z that is orthogonal to the gradients
     used : number of estimated parameters
+    shift, spread : mean (n_lags,) and covariance (n_lags, n_lags) of the score due to errors of the coefficients
     """
     n = len(target)
     variance = float(np.sum(target**2)) / max(n - used, 1)
     size = np.sqrt((Z**2).sum(axis=0) * n * variance)
     size[size == 0] = 1.0
-    score = free.T @ target
-    V = variance * (free.T @ free)
+    score = free.T @ target - shift
+    V = variance * (free.T @ free) + spread
     root = np.sqrt(np.diagonal(V))
     scale = np.where(root > 1e-9 * np.sqrt(variance * (Z**2).sum(axis=0)), root, np.inf)
     values, vectors = np.linalg.eigh(V / np.outer(scale, scale))
@@ -210,9 +227,26 @@ def _test_result(
     )
 
 
-def _unit_scaled(z: Floats) -> Floats:
-    """Scale each column by a power of two, which is exact and prevents the overflow of squares."""
-    return np.asarray(np.ldexp(z, -np.frexp(np.abs(z).max(axis=0, initial=0.0))[1]))
+def _coefficient_errors(Z: Floats, G: Floats, C: Floats, of_squares: bool) -> tuple[Floats, Floats]:
+    """Return the mean (n_lags,) and the covariance (n_lags, n_lags) of what errors of the coefficients add to the score.
+
+    Parameters
+    ----------
+    Z : (n, n_lags) regressors
+    G : (n, n_parameters) gradients of the prediction
+    C : (n_parameters, n_parameters) covariance of the coefficients
+    """
+    if not of_squares:
+        moved = Z.T @ G
+        return np.zeros(Z.shape[1]), moved @ C @ moved.T
+    AC = np.array([(G.T * z) @ G @ C for z in Z.T])
+    return np.trace(AC, axis1=1, axis2=2), 2.0 * np.einsum("lij,mji->lm", AC, AC)
+
+
+def _unit_scaled(z: Floats) -> tuple[Floats, Floats]:
+    """Return each column scaled by a power of two, which is exact and prevents the overflow of squares; and the factors."""
+    exponent = -np.frexp(np.abs(z).max(axis=0, initial=0.0))[1]
+    return np.asarray(np.ldexp(z, exponent)), np.asarray(np.ldexp(1.0, exponent))
 
 
 def _orthonormal(G: Floats) -> Floats:
