@@ -15,6 +15,7 @@ from planners.arena import Arena
 from robotmodic_ident import Narmax, Terms
 from robotmodic_ident.analysis.sampled_sobol import saltelli_points, sampled_sobol
 from robotmodic_ident.errors import IdentError
+from robotmodic_ident.prediction.recursion import UNLIMITED
 from sensorgraph.building.build import build
 from sensorgraph.cli import run as cli
 from sensorgraph.errors import SensorgraphError
@@ -50,12 +51,14 @@ def graph(robot: Robot) -> Sensorgraph:
     return build([run], calibrate=False)
 
 
-def controller(robot: Robot, *names: str, theta: tuple[float, ...]) -> PolynomialController:
+def controller(
+    robot: Robot, *names: str, theta: tuple[float, ...], limits: tuple[float, float] = UNLIMITED
+) -> PolynomialController:
     """Return a turn rate in L0-30, the mean range to the right."""
     n = len(names)
     model = Narmax(
         output="cmd_omega", terms=Terms.parse(*names), theta=np.array(theta), covariance=np.zeros((n, n)),
-        err=np.zeros(n), sigma=0.0, n_samples=0,
+        err=np.zeros(n), sigma=0.0, n_samples=0, limits=limits,
     )  # fmt: skip
     facts = {"signals": {"L0_30": "L0-30"}, "held": {"cmd_v": 0.2}, "period_s": 0.1}
     return PolynomialController(model, facts, robot, name="planted")
@@ -127,6 +130,14 @@ def test_a_disc_is_seen_where_it_stands_and_stops_the_robot(graph: Sensorgraph, 
     contacts = list(QUANTITIES).index("contacts")
     assert along.undisturbed["contacts"] == 0
     assert along.shares.mean[contacts] > 0
+
+
+def test_a_controller_turns_no_faster_than_the_limits_of_its_model(graph: Sensorgraph, robot: Robot) -> None:
+    slow = controller(robot, "1", "L0_30(k)", theta=(0.8, 0.0), limits=(-0.3, 0.3))
+    found = influence(
+        graph, slow, robot, (1.5, 0.8, 0.0), factors={"noise": (0.0, 0.03)}, rows=8, duration=16.0
+    )
+    assert found.undisturbed["turn_rate_rms_rad_s"] == pytest.approx(0.3, rel=0.03)  # it starts from rest
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,16 @@
-"""A wall follower comes to a wall from anywhere, keeps its distance, and goes round a room instead of in circles."""
+"""A wall follower comes to a wall from anywhere and keeps its distance; an identified controller drives as its model runs."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import further
 
 from planners.types import Floats
-from sensorgraph.recording.controllers import FOLLOW_DISTANCE, Controller, WallFollowing
+from robotmodic_ident import Narmax, Terms
+from sensorgraph.recording.controllers import FOLLOW_DISTANCE, Controller, PolynomialController, WallFollowing
 from sensorgraph.world.robot import Robot, default_robot
 
 SIDE = 6.0
@@ -43,3 +46,39 @@ def test_it_follows_the_walls_wherever_it_starts(place: tuple[float, float], phi
     assert np.median(depth) == pytest.approx(robot.footprint_radius + FOLLOW_DISTANCE, abs=0.1)
     assert np.quantile(depth, 0.95) < 0.8
     assert (np.ptp(late[:, :2], axis=0) > SIDE - 1.6).all()  # all four walls
+
+
+@pytest.mark.parametrize(
+    "terms, theta, others",
+    [
+        (("1", "L60_120(k)"), (1.0, -0.8), {"limits": (-0.3, 0.5)}),
+        (
+            ("L60_120(k-1)", "cmd_omega(k-1)", "tanh((cmd_omega(k-1)-cmd_omega(k-3))/0.1)"),
+            (-0.2, 0.6, 0.3),
+            {},
+        ),
+        (("1", "L60_120(k)", "cmd_omega(k-2)"), (1.0, -0.8, 0.2), {"is_magnitude": True}),
+        (("1", "L60_120(k)"), (1.0, -0.8), {"denominator": Terms.parse("L60_120(k-1)^2")}),
+        (("1", "L60_120(k-1)"), (1.0, -0.8), {"noise_terms": Terms.parse("e(k-2)*L60_120(k-2)")}),
+    ],
+    ids=["limits", "friction", "magnitude", "ratio", "noise"],
+)
+def test_an_identified_controller_commands_what_its_model_predicts_in_free_run(
+    terms: tuple[str, ...], theta: tuple[float, ...], others: dict
+) -> None:
+    several = {"denominator": "denominator_theta", "noise_terms": "noise_theta"}
+    others |= {several[name]: np.array([0.4]) for name in set(others) & set(several)}
+    n = len(theta) + len(others) // 2
+    model = Narmax(
+        output="cmd_omega", terms=Terms.parse(*terms), theta=np.array(theta), covariance=np.zeros((n, n)),
+        err=np.zeros(len(theta)), sigma=0.1, n_samples=100, **others,
+    )  # fmt: skip
+    robot = default_robot()
+    steer = PolynomialController(model, {"signals": {"L60_120": "L60-120"}}, robot, name="model")
+    ahead = np.random.default_rng(3).uniform(0.2, 3.0, 40)
+    driven = [steer(np.full(robot.sensor.n_rays, value))[1] for value in ahead]
+    back = model.recursion().look_back  # [samples] before the start, with constant readings and no command
+    whole = {"L60_120": np.r_[np.full(back, ahead[0]), ahead], "cmd_omega": np.zeros(back + len(ahead))}
+    expected = replace(model, is_magnitude=False).predict_mpo(whole)[back:]
+    np.testing.assert_allclose(driven, np.abs(expected) if model.is_magnitude else expected, atol=1e-12)
+    assert np.ptp(driven) > 0.1

@@ -215,7 +215,8 @@ def _check(
         )
     model = controller.model
     lagged = model.terms.max_lag or model.output in model.terms.variables or len(model.noise_terms)
-    if not controller.is_turn or lagged or controller.every != 1 or not controller.rays:
+    is_sum = not len(model.denominator) and not model.is_magnitude
+    if not controller.is_turn or lagged or not is_sum or controller.every != 1 or not controller.rays:
         raise SensorgraphError(
             f"{controller.name}: expected a turn rate as a function of the current readings, without lags, as `design` writes"
         )

@@ -121,7 +121,7 @@ class VariedPopulation(ClosedLoopPopulation):
         columns = {f"{name}(k)": np.nan_to_num(seen[:, j]) for j, name in enumerate(self.inputs)}
         turn = controller.terms.matrix(columns, controller.scale, n=len(poses)) @ controller.theta
         limit = self.robot.limits.omega
-        return np.where(known, np.clip(turn, -limit, limit), before)
+        return np.where(known, np.clip(np.clip(turn, *controller.limits), -limit, limit), before)
 
     def _there(self, poses: Floats) -> Floats:
         there = super()._there(poses)

@@ -119,9 +119,10 @@ class PolynomialController:
     """
 
     def __init__(self, model: Narmax, facts: Mapping[str, Any], robot: Robot, *, name: str) -> None:
-        self.model, self.name = model.in_user_units(), name
+        self.model, self.name = model, name
+        self.factors = [f for term in (*model.terms, *model.denominator) for f in term]
         self.names: dict[str, str] = {
-            v: facts.get("signals", {}).get(v, v) for v in self.model.terms.variables
+            f.variable: facts.get("signals", {}).get(f.variable, f.variable) for f in self.factors
         }
         self.is_turn = model.output in TURN_OUTPUTS
         if not self.is_turn and model.output not in SPEED_OUTPUTS:
@@ -141,8 +142,9 @@ class PolynomialController:
                 "rays such as L45-90"
             )
         self.every = _scans_per_step(facts.get("period_s"), robot.sensor.rate, name)
-        self.depth = self.model.terms.max_lag + 1
+        self.depth = max(model.terms.max_lag, model.denominator.max_lag) + 1
         self.past: dict[str, list[float]] = {}
+        self.own = [0.0] * self.depth  # newest first, as each of `past`
         self.count, self.command = 0, 0.0
 
     @classmethod
@@ -167,27 +169,24 @@ class PolynomialController:
         return (self.held, self.command) if self.is_turn else (self.command, self.held)
 
     def _step(self, now: Mapping[str, float]) -> None:
+        """Run the model one step further in free run, where noise terms are 0."""
         for v, value in now.items():
             kept = self.past.setdefault(v, [value] * self.depth)  # constant before the start
-            kept.insert(0, value)
-            kept.pop()
-        own = self.past.setdefault(self.model.output, [0.0] * self.depth)
+            self.past[v] = [value, *kept[:-1]]
+        model, past = self.model, {**self.past, self.model.output: [np.nan, *self.own]}
         columns = {
             f.signal: np.array(
-                [
-                    own[f.lag - 1]
-                    if f.variable == self.model.output and f.lag
-                    else self.past[f.variable][f.lag or 0]
-                ]
+                [past[f.variable][f.lag or 0] - (0.0 if f.minus is None else past[f.variable][f.minus])]
             )
-            for term in self.model.terms
-            for f in term
+            for f in self.factors
         }
-        value = float((self.model.terms.matrix(columns, n=1) @ self.model.theta)[0])
+        top = model.terms.matrix(columns, model.scale, n=1)[0] @ model.theta
+        bottom = 1.0 + model.denominator.matrix(columns, model.scale, n=1)[0] @ model.denominator_theta
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = float(np.clip(top / bottom, *model.limits))
         if np.isfinite(value):
-            self.command = value
-        own.insert(0, self.command)
-        own.pop()
+            self.command = abs(value) if model.is_magnitude else value
+        self.own = [value if np.isfinite(value) else self.command, *self.own[:-1]]
 
 
 def _scans_per_step(period: float | None, rate: float, name: str) -> int:
