@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,32 @@ def test_signals_of_a_run_are_those_at_its_scans() -> None:
     np.testing.assert_allclose(record.signals["cmd_omega"], k / 10)
     np.testing.assert_allclose(record.signals["sin_phi"], 1.0)
     assert data.held == {"cmd_v": pytest.approx(0.2)}
+
+
+def test_odometry_is_unknown_in_its_gaps() -> None:
+    run = turning_run()
+    there = (run.odom_stamps < 1.99) | (run.odom_stamps > 3.99)
+    some = replace(
+        run,
+        odom_stamps=run.odom_stamps[there],
+        odometry=run.odometry[there],
+        odom_twists=run.odom_twists[there],
+    )
+    (record,) = signals_of_run(some, ["v", "x"]).records
+    assert np.flatnonzero(np.isnan(record.signals["v"])).tolist() == list(range(20, 40))
+    assert np.isfinite(record.signals["x"]).all()
+
+
+def test_scans_that_are_unevenly_spaced_or_have_gaps_are_a_note() -> None:
+    run = turning_run()
+    assert not signals_of_run(run, ["L67"]).notes
+    late = np.where(np.arange(run.n_scans) % 2, 0.03, 0.0) + 5.0 * (run.stamps > 3.0)
+    uneven, gap = signals_of_run(replace(run, stamps=run.stamps + late), ["L67"]).notes[::-1]
+    assert (
+        uneven
+        == "samples are unevenly spaced (0.54 to 1 of the median step): lags count samples, not seconds"
+    )
+    assert gap == "1 gap in the scans; no lag crosses it"
 
 
 def test_no_return_is_not_known() -> None:

@@ -19,7 +19,7 @@ from logs.errors import LogError
 from logs.formats import table
 from logs.formats.text import first_bytes, parses_as_number, read_lines
 from logs.run import RangeSensor, Run, pair
-from logs.sensor import median_step
+from logs.sensor import median_step, usual_step
 from robotmodic_ident import Record
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.intake import log_notes
@@ -35,6 +35,9 @@ RESERVED_NAMES = ("cos", "sin", "e")
 """Names with a meaning in terms: functions, and the noise."""
 STEP_TOLERANCE, MAX_UNEVEN_SHARE = 0.2, 0.1
 """Relative deviation of a time step from the median above which it is uneven, and the allowed share of uneven steps."""
+MAX_STEP, MAX_STEPS = 0.2, 1.5
+"""[s], and in usual steps: two samples of the odometry further apart than both leave a gap, as poses do in `pair` and
+samples in `Record`."""
 MAX_COMMAND_AGE = 0.5
 """[s] Time after the last command of the log for which this command stays known."""
 
@@ -110,7 +113,7 @@ def perceived(readings: Floats, rays: Ints) -> Floats:
 def signals_of_run(run: Run, names: Sequence[str], *, every: int = 1) -> SignalData:
     """Return signals of a run at the stamps of its scans, every `every`-th of them.
 
-    Poses and odometry are interpolated. The command of a scan is the last one before its stamp plus half a command
+    Poses and odometry are interpolated, but not across a gap. The command of a scan is the last one before its stamp plus half a command
     period, so that the reaction to this scan counts.
     """
     known = _offered(run)
@@ -129,7 +132,8 @@ def signals_of_run(run: Run, names: Sequence[str], *, every: int = 1) -> SignalD
         for i, name in enumerate(COMMANDS)
         if len(run.commands) and name not in names
     }
-    notes = () if not run.meta.get("pose_source") else (f"poses from {run.meta['pose_source']}",)
+    notes = [] if not run.meta.get("pose_source") else [f"poses from {run.meta['pose_source']}"]
+    notes += _spacing([record], "the scans")
     return SignalData(
         records=[record], names=names_of, period=period, held=held, notes=notes, log_notes=log_notes(run)
     )
@@ -150,9 +154,18 @@ def _signal(run: Run, name: str, every: int) -> Floats:
     stamps = run.stamps[::every]
     if name in ODOMETRY:
         column = run.odom_twists[:, ODOMETRY.index(name)]
-        at = np.interp(stamps, run.odom_stamps, column, left=np.nan, right=np.nan)
-        return np.asarray(at, dtype=np.float64)
+        return _interpolated(stamps, run.odom_stamps, column)
     return _command(run, COMMANDS.index(name), stamps)
+
+
+def _interpolated(stamps: Floats, at: Floats, values: Floats) -> Floats:
+    """Return values (n,) at `stamps` (n,), from values (m,) known at the times `at`; nan outside them and in their gaps."""
+    gap = max(MAX_STEP, MAX_STEPS * usual_step(at))
+    after = np.clip(np.searchsorted(at, stamps), 1, max(len(at) - 1, 1))
+    out = np.interp(stamps, at, values, left=np.nan, right=np.nan)
+    if len(at) > 1:
+        out[(at[after] - at[after - 1] > gap) & (stamps != at[after]) & (stamps != at[after - 1])] = np.nan
+    return np.asarray(out, dtype=np.float64)
 
 
 def _command(run: Run, column: int, stamps: Floats) -> Floats:
@@ -208,21 +221,21 @@ def signals_of_table(path: Path, names: Sequence[str], *, every: int = 1) -> Sig
         records.append(Record(signals={v: values[n][mine] for v, n in names_of.items()}, stamps=stamps))
     return SignalData(
         records=records, names=names_of, period=float(np.median(periods)) if periods else None,
-        notes=_spacing(records) if "t" in values else ["no column t: samples are assumed to be evenly spaced"],
+        notes=_spacing(records, "t", "; resample to an even step") if "t" in values else ["no column t: samples are assumed to be evenly spaced"],
     )  # fmt: skip
 
 
-def _spacing(records: Sequence[Record]) -> list[str]:
+def _spacing(records: Sequence[Record], where: str, remedy: str = "") -> list[str]:
     """Return notes on gaps in the records and on unevenly spaced samples, because lags count samples."""
     gaps = sum(len(record.segments()) - 1 for record in records)
-    notes = [f"{gaps} gaps in t; no lag crosses one"] if gaps > 1 else []
-    notes += ["1 gap in t; no lag crosses it"] if gaps == 1 else []
+    notes = [f"{gaps} gaps in {where}; no lag crosses one"] if gaps > 1 else []
+    notes += [f"1 gap in {where}; no lag crosses it"] if gaps == 1 else []
     steps = np.concatenate([_steps(record) for record in records])
     if len(steps) and float(np.mean(np.abs(steps - 1.0) > STEP_TOLERANCE)) > MAX_UNEVEN_SHARE:
         low, high = np.quantile(steps, [0.05, 0.95])
         notes.append(
-            f"samples are unevenly spaced ({low:.2g} to {high:.2g} of the median step): lags count samples, not "
-            "seconds; resample to an even step"
+            f"samples are unevenly spaced ({low:.2g} to {high:.2g} of the median step): lags count samples, not seconds"
+            + remedy
         )
     return notes
 
