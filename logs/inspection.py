@@ -25,7 +25,6 @@ from logs.ros.recording import (
 )
 from logs.run import Run, pair
 from logs.run_warnings import warnings_of
-from logs.sensor import usual_step
 from logs.sweep import sweep_line
 from logs.types import Floats, Mounts, Progress, ReadOptions
 from logs.usability import Ground, Use, advice, ground_of, no_use, uses_of
@@ -45,7 +44,7 @@ class TopicInfo:
     type: str
     n_messages: int
     rate: float | None
-    """[Hz] median rate; None for fewer than two distinct stamps."""
+    """[Hz] messages over time, the median over all spans of half the log; None where half of the stamps are equal."""
     frame: str
     first: float | None
     """[s] time of the first message, from the start of the file."""
@@ -259,8 +258,9 @@ def _longest(stamps: Floats) -> float | None:
 
 
 def _rate(stamps: Floats) -> float | None:
-    step = usual_step(stamps)
-    return 1.0 / step if step else None
+    n = len(stamps) // 2
+    span = float(np.median(stamps[n:] - stamps[: len(stamps) - n])) if n else 0.0
+    return n / span if span > 0 else None
 
 
 def _usable(run: Run) -> list[str]:

@@ -13,6 +13,7 @@ from test_logs_formats_rosbag import odometry, pose, scan, transform, trip, writ
 
 import logs
 from logs import Run
+from logs.expectations import deviations, expected_topics
 from logs.inspection import inspect
 from sensorgraph.cli import run as command
 
@@ -42,6 +43,24 @@ def test_our_file_is_described_without_a_warning(tmp_path: Path, capsys: pytest.
     assert "warnings" not in said and "missing" not in said
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["is_run"] and {t["name"]: t["n_messages"] for t in found["topics"]}["/scan"] == 100
+
+
+def test_the_rate_of_a_topic_counts_what_was_lost_and_what_came_in_bursts(tmp_path: Path) -> None:
+    run = some_run(300)
+    kept = np.arange(run.n_scans) % 3 > 0
+    logs.write(run, tmp_path / "good.mcap")
+    logs.write(run.take_scans(kept), tmp_path / "lost.mcap")
+    good, lost = (inspect(tmp_path / f"{name}.mcap") for name in ("good", "lost"))
+    rates = {topic.name: topic.rate for topic in lost.topics}
+    assert rates["/scan"] == pytest.approx(2 / 3 * 10, rel=0.01)
+    said = [one.text for one in deviations(lost, expected_topics([good]))]
+    assert "/scan has 6.67 Hz, expected 9 Hz" in said
+
+    pairs = np.sort(np.r_[run.cmd_stamps[::2], run.cmd_stamps[::2] + 0.001])
+    commands = np.zeros((len(pairs), 2))
+    logs.write(changed(run, cmd_stamps=pairs, commands=commands), tmp_path / "burst.mcap")
+    rates = {topic.name: topic.rate for topic in inspect(tmp_path / "burst.mcap").topics}
+    assert rates["/cmd_vel"] == pytest.approx(1 / np.mean(np.diff(run.cmd_stamps)), rel=0.01)
 
 
 def test_file_that_is_no_run_is_still_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
