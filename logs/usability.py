@@ -53,7 +53,7 @@ class Use:
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """The motion of a log, by its odometry or else by its poses."""
+    """The motion of a log while it has scans, by its odometry or else by its poses."""
 
     distance: float
     """[m]"""
@@ -88,9 +88,16 @@ class Ground:
 
 
 def ground_of(run: Run) -> Ground | None:
-    """Return the ground that the robot covered; None if the log has neither odometry nor poses."""
-    tracks = [track for track in (run.odometry, run.poses) if len(track) > 1]
-    tracks = [track[np.isfinite(track).all(axis=1)] for track in tracks]
+    """Return the ground that the robot covered between the first and the last scan, or in all the log if it has no scans.
+
+    None if the log has neither odometry nor poses.
+    """
+    first, last = run.stamps[[0, -1]] if run.n_scans else (-np.inf, np.inf)
+    tracks = [
+        track[np.isfinite(track).all(axis=1) & (stamps >= first) & (stamps <= last)]
+        for stamps, track in ((run.odom_stamps, run.odometry), (run.pose_stamps, run.poses))
+        if len(track) > 1
+    ]
     if not tracks:
         return None
     moves = [(_points(track), _headings(track)) for track in tracks]
@@ -101,7 +108,7 @@ def ground_of(run: Run) -> Ground | None:
         distance=float(lengths.sum()),
         left=float(turns[turns > 0].sum()),
         right=float(np.abs(turns[turns < 0]).sum()),
-        duration=float(run.stamps[-1] - run.stamps[0]) if run.n_scans else run.duration,
+        duration=float(last - first) if run.n_scans else run.duration,
         revisits=_revisits(points, lengths),
     )
 

@@ -74,6 +74,18 @@ def test_ground_is_the_length_of_the_path_and_the_sum_of_its_turns(
         assert ground.to_dict()["minutes"] == pytest.approx(1.0)
 
 
+def test_ground_without_scans_is_not_counted() -> None:
+    run = run_of(LOOPS).take_scans(T <= 4.0)  # 40 s of odometry
+    ground = ground_of(run)
+    assert ground is not None
+    assert (ground.distance, ground.left, ground.right) == pytest.approx((2.0, 2.0, 0.0), abs=0.1)
+    assert ground.duration == pytest.approx(4.0)
+    assert {use.name: use.verdict for use in uses_of(run, ground)}["diagnose wheels"] == "limited"
+    before = replace(run_of(LOOPS), odom_stamps=T + 100.0)
+    assert (nothing := ground_of(before)) is not None and nothing.distance == 0.0
+    assert "hardly moves" in advice(before, nothing)
+
+
 def test_numbers_that_overflow_are_no_number_in_json() -> None:
     with np.errstate(over="ignore"):
         ground = ground_of(run_of(LOOPS * 1e307))
