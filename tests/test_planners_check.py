@@ -67,7 +67,16 @@ def test_a_drive_too_near_a_wall_is_found_where_it_is_near() -> None:
     found = check(near, door_arena(0.9), ROBOT)
     assert found.violations["clearance"] > 0
     assert found.violations["continuity"] == 0
-    assert found.min_clearance == pytest.approx(0.19, abs=0.005)  # half a step of 8 mm is held back
+    assert found.min_clearance == pytest.approx(0.19, abs=1e-4)  # it drives along the wall in steps of 8 mm
+
+
+@pytest.mark.parametrize(("room", "violated"), [(0.0001, False), (-0.0001, True)])
+def test_a_drive_along_a_wall_may_use_all_the_room(room: float, violated: bool) -> None:
+    pen = CurveBuilder(np.array([0.5, ROBOT.footprint_radius + room, 0.0]), ROBOT.limits)
+    pen.move(0.8)
+    found = check(pen.curve().trajectory(), door_arena(0.9), ROBOT)
+    assert (found.violations["clearance"] > 0) == violated
+    assert found.min_clearance == pytest.approx(ROBOT.footprint_radius + room, abs=1e-9)
 
 
 def test_a_drive_through_a_wall_between_two_samples_is_found() -> None:

@@ -63,7 +63,7 @@ def test_the_trajectory_alone_gives_the_reported_coverage(square: Plan) -> None:
 def test_the_plan_is_feasible_and_clear(square: Plan) -> None:
     found = check(square.trajectory, shipped("square"), ROBOT)
     assert found.count == 0
-    assert found.min_clearance >= 0.21  # radius 0.20 and most of the margin of 0.02, half a step held back
+    assert found.min_clearance >= 0.219  # radius 0.20 and the margin of 0.02, to the resolution of the raster
     assert square.report["limit_violations"] == 0
 
 
@@ -92,7 +92,7 @@ def test_any_prefix_of_a_plan_is_a_plan_that_ends_at_rest(square: Plan, share: f
     trajectory = part.trajectory()
     found = check(trajectory, shipped("square"), ROBOT)
     assert found.count == 0
-    assert found.min_clearance >= 0.21
+    assert found.min_clearance >= 0.219
     np.testing.assert_allclose(part.sample(np.array([part.duration]))[1], 0.0, atol=1e-9)
     early = part.starts[-1]
     np.testing.assert_array_equal(
@@ -249,7 +249,7 @@ def test_baselines_are_feasible_and_see_far_less(square: Plan, planner: str) -> 
     made = plan(shipped("square"), ROBOT, planner=planner, duration=600.0, seed=3)
     assert 600.0 <= made.trajectory.duration < 630.0
     assert made.report["limit_violations"] == 0
-    assert made.report["min_clearance_m"] >= 0.21
+    assert made.report["min_clearance_m"] >= 0.219
     assert made.report["coverage"] < 0.5 * square.report["coverage"]
 
 
@@ -350,7 +350,7 @@ def test_cars_fill_what_they_can_reach(drive: Any, share: float) -> None:
     made = plan(shipped("square"), car)
     assert made.report["coverage"] >= share
     assert made.report["limit_violations"] == 0
-    assert made.report["min_clearance_m"] >= 0.21
+    assert made.report["min_clearance_m"] >= 0.219
     assert made.report["ratio"] <= 2.3
     if drive == "dubins":
         assert made.trajectory.twists[:, 0].min() >= 0
