@@ -22,7 +22,7 @@ from planners.coverage import CELL, HEADINGS, Coverage
 from planners.curve import Curve
 from planners.errors import PlanError
 from planners.interrupt import defer_interrupt
-from planners.joins.ompl_process import JOIN_PLANNERS
+from planners.joins.ompl_process import CLEARANCE_SLACK, JOIN_PLANNERS
 from planners.methods import baselines
 from planners.methods.coverage import plan_coverage
 from planners.methods.stop_and_spin import plan_stop_and_spin
@@ -113,7 +113,7 @@ def plan(
     cell : [m] Side of a position cell; `headings`: number of heading bins.
     start : (3,) [m, m, rad] Start pose; None: chosen by the planner in the largest part of the arena.
     rate : [Hz] Rate of the log; a bin is covered when a logged pose falls in it.
-    margin : [m] Distance of the robot's rim from walls; the report gives its cost in reachable bins.
+    margin : [m] Distance of the robot's rim from walls, at least 2 mm; the report gives its cost in reachable bins.
     priority : (nx, ny, n_phi) Higher comes earlier; or a function that computes it from the empty grid.
     visited : (n, 3) [m, m, rad] Poses of earlier runs, whose bins are already covered.
     targets : (n, 3) [m, m, rad] Poses to visit, for the planner `views`; or a function that chooses them
@@ -230,7 +230,11 @@ def _empty_grid(free: Reach, headings: int) -> Coverage:
 def _reachable_floor(
     arena: Arena, vehicle: Vehicle, cell: float, margin: float, start: Floats | None, name: str
 ) -> tuple[Reach, Barriers]:
-    """Return the reachable places of the vehicle, and the barriers it must avoid."""
+    """Return the reachable places of the vehicle, and the barriers it must avoid.
+
+    Searches and joins keep the clearance up to `CLEARANCE_SLACK`, as distances are interpolated between nodes. So a smaller
+    margin counts as this slack, and the robot touches no wall.
+    """
     x0, y0, x1, y1 = arena.bounds
     if cell > max(x1 - x0, y1 - y0):
         raise PlanError(f"cell is {cell:g} m, larger than the whole arena; expected metres, such as 0.25")
@@ -238,7 +242,7 @@ def _reachable_floor(
     free = reach(
         arena,
         barriers,
-        clearance=vehicle.footprint_radius + margin,
+        clearance=vehicle.footprint_radius + max(margin, CLEARANCE_SLACK),
         cell=float(cell),
         start=start,
         name=name,

@@ -50,7 +50,7 @@ CHECK_STEP = 0.01
 """[m] between the states of a motion that OMPL checks."""
 CLEARANCE_SLACK = 0.002
 """[m] Added to the clearance in OMPL where start and goals allow it. A certified path may be this much below the
-clearance."""
+clearance, and it is the smallest margin of a plan."""
 
 
 class _OmplServer:

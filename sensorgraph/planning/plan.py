@@ -135,7 +135,7 @@ def plan(
     budget : [s] Maximum duration of the drive.
     battery : [s] Maximum duration of one run; all runs start and end at `dock` (3,) [m, m, rad].
     duration : [s] Duration of the baselines; None: the reference time of the coverage planner.
-    margin : [m] Minimum distance between the footprint and walls.
+    margin : [m] Minimum distance between the footprint and walls; below 2 mm it is 2 mm.
     join_planner : Name of the OMPL planner that finds paths around obstacles, or your own as `module:Class`.
     order : `fast`, the shortest drive; or `anytime`, where every prefix is as useful as possible. None:
         anytime for a robot that turns in place if a `budget` or a `graph` is given and no `priority`;
