@@ -23,7 +23,7 @@ from sensorgraph.identification.design import (
     drive_design,
     start_poses,
 )
-from sensorgraph.identification.design_task import DesignTask, Interval, predicted, quantities
+from sensorgraph.identification.design_task import DesignTask, Interval, follows_wall, predicted, quantities
 from sensorgraph.identification.population_drive import ClosedLoopPopulation
 from sensorgraph.identification.signals import rays_of, variable
 from sensorgraph.recording.controllers import PolynomialController
@@ -135,6 +135,28 @@ def test_starts_have_the_wall_on_the_right(arena: Arena, robot: Robot) -> None:
         assert abs(walls(x, y) - 0.5) < 0.05
         right = walls(x + 0.2 * np.sin(phi), y - 0.2 * np.cos(phi))
         assert right < walls(x, y) - 0.15
+
+
+def test_a_search_that_ends_in_a_circle_begins_again(graph: Sensorgraph, robot: Robot) -> None:
+    """The first search of this seed finds a robot that touches the wall twice in each drive."""
+    task = DesignTask(wall_distance=0.35, speed=0.4, duration=20.0)
+    few = replace(QUICK, population=8, rounds=2)
+    again = design(graph, task, robot, inputs=INPUTS, settings=few, seed=2)
+    assert again.n_failed == again.to_dict()["n_failed"] == 0
+    assert again.prediction["contacts"].mean == 0
+
+
+def test_a_wall_is_followed_where_it_stays_on_the_right() -> None:
+    t = np.arange(0.0, 40.0, 0.1)
+    along = np.column_stack([0.1 * t, np.full(len(t), 0.5), np.zeros(len(t))])
+    turn = 2 * np.pi * t / 8.0
+    circle = np.column_stack([0.3 * np.sin(turn), 0.5 - 0.3 * np.cos(turn), turn])
+    for poses, contacts, follows in ((along, 0, True), (along, 1, False), (circle, 0, False)):
+        drive = ExecutedDrive(
+            stamps=t, poses=poses, twists=np.zeros((len(t), 2)), cmd_stamps=t, commands=np.zeros((len(t), 2)),
+            contacts=contacts,
+        )  # fmt: skip
+        assert follows_wall(drive, lambda _, y: float(y)) == follows
 
 
 def test_lap_of_a_circle_is_its_period() -> None:

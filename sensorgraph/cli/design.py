@@ -102,6 +102,12 @@ def design(
     typer.echo(f"{found.model.equation()}   [rad/s; L in m; at {speed:g} m/s]")
     for line in _table(found, None if driven is None else driven[1]):
         typer.echo(line)
+    if found.n_failed:
+        typer.echo(
+            f"warning: in {found.n_failed} of {len(found.tracks)} predicted drives the robot touches a wall, or does not "
+            "keep it on its right; try another --seed, --wall-distance, --speed or --inputs",
+            err=True,
+        )
     typer.echo(f"wrote {', '.join(map(str, files))}")
     x, y, heading = found.start
     typer.echo(

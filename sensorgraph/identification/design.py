@@ -7,7 +7,8 @@ The coefficients theta are searched by the cross-entropy method (Rubinstein 1999
     Update: spread <- SMOOTHING std(elite)  + (1 - SMOOTHING) spread.
     Cost: distance_error / DISTANCE_UNIT² + (4 max(turn_change / smoothness - 1, 0))² + TOUCHING_COST touching.
 
-The closed loop is predicted by drives of the simulated robot in the graph, from nearby starts and with new noise.
+The closed loop is predicted by drives of the simulated robot in the graph, from nearby starts and with new noise. The
+search may converge to a robot that turns in a circle; if a predicted drive does not follow the wall, it starts again.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from sensorgraph.identification.design_task import (
     DesignTask,
     DriveQuantities,
     Interval,
+    follows_wall,
     predicted,
     quantities,
 )
@@ -52,6 +54,7 @@ ELITE = 4
 FIRST_SPREAD, SMOOTHING = 1.0, 0.7
 """[rad/s per m] Standard deviation of the coefficients in the first round; weight of the elite in the next round."""
 N_STARTS = 2
+MAX_SEARCHES = 3
 DISTANCE_UNIT, TOUCHING_COST = 0.1, 100.0
 """[m] RMS error of the wall distance of cost 1, as an excess of the smoothness by 25 %; cost of permanent contact."""
 OUTER_SHARE = 0.25
@@ -89,6 +92,8 @@ class ControllerDesign:
     prediction: dict[str, Interval]
     tracks: list[ExecutedDrive] = field(repr=False)
     """The predicted drives."""
+    n_failed: int
+    """Number of predicted drives that touch a wall or do not keep it on the right; 0 if the design meets its task."""
     walls: Arena
     """Walls of the graph."""
 
@@ -109,6 +114,7 @@ class ControllerDesign:
             "controller": self.model.equation(),
             "start": self.start.tolist(),
             "n_predicted": len(self.tracks),
+            "n_failed": self.n_failed,
             "prediction": {
                 name: {k: None if np.isnan(v) else v for k, v in asdict(interval).items()}
                 for name, interval in self.prediction.items()
@@ -152,18 +158,28 @@ def design(
     population = ClosedLoopPopulation(graph.model, robot, clearance, rays, seed, mount)
     centres = np.nan_to_num(np.nanmean(population.perceived(starts, 0, len(starts)), axis=0), nan=1.0)
     terms = polynomial([f"{name}(k)" for name in rays], degree)
-    theta = _searched(population, terms, centres, starts, task, settings, seed, progress)
-    model = _controller(terms, theta, Scale(tuple(rays), tuple(centres.tolist()), (1.0,) * len(rays)))
+    scale = Scale(tuple(rays), tuple(centres.tolist()), (1.0,) * len(rays))
     facts = {
         "signals": dict(zip(rays, inputs, strict=True)) | {OUTPUT: OUTPUT},
         "held": {"cmd_v": task.speed},
         "period_s": 1.0 / robot.sensor.rate,
     }
-    drives = _predicted_drives(graph, model, facts, robot, task, starts[0], clearance, seed, settings)
+    n_failed, model, drives = settings.n_predicted + 1, None, list[ExecutedDrive]()
+    for search in range(MAX_SEARCHES):
+        theta = _searched(population, terms, centres, starts, task, settings, [seed, 7, search], progress)
+        now = _controller(terms, theta, scale)
+        tried = _predicted_drives(graph, now, facts, robot, task, starts[0], clearance, seed, settings)
+        n_now = sum(not follows_wall(drive, clearance) for drive in tried)
+        if n_now < n_failed:
+            n_failed, model, drives = n_now, now, tried
+        if not n_failed:
+            break
+    assert model is not None
     middle = np.array(walls.free.centroid.coords[0])
     found = [quantities(drive, clearance, middle, 1.0 / robot.sensor.rate) for drive in drives]
     return ControllerDesign(
-        task=task, model=model, facts=facts, start=starts[0], prediction=predicted(found), tracks=drives, walls=walls
+        task=task, model=model, facts=facts, start=starts[0], prediction=predicted(found), tracks=drives,
+        n_failed=n_failed, walls=walls,
     )  # fmt: skip
 
 
@@ -211,10 +227,10 @@ def start_poses(walls: WallDistance, arena: Arena, distance: float, n: int) -> F
 
 def _searched(
     population: ClosedLoopPopulation, terms: Terms, centres: Floats, starts: Floats, task: DesignTask,
-    settings: DesignSettings, seed: int, progress: Progress | None,
+    settings: DesignSettings, seed: Sequence[int], progress: Progress | None,
 ) -> Floats:  # fmt: skip
     """Return the coefficients (n_terms,) [rad/s] of lowest cost."""
-    rng = np.random.default_rng([seed, 7])
+    rng = np.random.default_rng(seed)
     mean = np.zeros(len(terms))
     linear = [len(term) == 1 and term[0].power == 1 for term in terms]
     mean[linear] = -FIRST_SPREAD  # turn left if a wall is near

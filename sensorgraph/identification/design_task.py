@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from sensorgraph.errors import SensorgraphError
+from sensorgraph.identification.population_drive import RIGHT_OFFSET
 from sensorgraph.types import Floats
 from sensorgraph.world.drive import STANDSTILL, Clearance, ExecutedDrive
 from sensorgraph.world.robot import Robot
@@ -19,6 +20,8 @@ WALL_SIGMA = 0.002
 """[m] Standard deviation of the walls of a graph and of distance tables, in addition to the noise of the drives."""
 SAMPLE_STEP = 0.1
 """[s] Time step between the measured samples of a drive."""
+MIN_WALL_ON_RIGHT = 0.75
+"""Minimum share of the time with the wall on the right: between 1 and the half of a robot that turns in a circle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +93,14 @@ def quantities(drive: ExecutedDrive, clearance: Clearance, middle: Floats, perio
         turn_change_rad_s2=float(np.sqrt(np.mean(change**2))), contacts=float(drive.contacts),
         lap_s=float(2 * np.pi * (t[-1] - t[0]) / turned) if turned >= 2 * np.pi else float("nan"),
     )  # fmt: skip
+
+
+def follows_wall(drive: ExecutedDrive, clearance: Clearance) -> bool:
+    """Return whether the robot keeps the wall on its right, without contact; a robot that turns in a circle does not."""
+    poses = drive.at(np.arange(0.0, float(drive.stamps[-1]) - STANDSTILL, SAMPLE_STEP))
+    right = poses[:, :2] + RIGHT_OFFSET * np.column_stack([np.sin(poses[:, 2]), -np.cos(poses[:, 2])])
+    nearer = [clearance(*there) < clearance(*here) for there, here in zip(right, poses[:, :2], strict=True)]
+    return drive.contacts == 0 and float(np.mean(nearer)) > MIN_WALL_ON_RIGHT
 
 
 @dataclass(frozen=True, kw_only=True)
