@@ -52,8 +52,8 @@ def small_reach_warning(free: Reach) -> str:
     parts, _ = ndimage.label(cut_off(free))
     sizes: Ints = np.bincount(parts.ravel())[1:]
     text = (
-        f"only {100 * free.share:.1f} % of where the robot fits is reachable; the rest lies behind gaps narrower "
-        f"than {2 * free.clearance:.2f} m"
+        f"only {100 * free.share:.1f} % of where the robot fits is reachable; the rest lies behind walls, no-go zones or gaps "
+        f"narrower than {2 * free.clearance:.2f} m"
     )
     if sizes.max(initial=0) <= PROPOSE_ABOVE * free.mask.sum():
         return text
