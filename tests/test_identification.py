@@ -92,6 +92,14 @@ def test_odometry_is_unknown_in_its_gaps() -> None:
     assert np.isfinite(record.signals["x"]).all()
 
 
+def test_no_command_counts_before_it_is_given() -> None:
+    run = turning_run()
+    late = run.stamps[::20] + 0.03  # every 2 s, as a person steers
+    some = replace(run, cmd_stamps=late, commands=np.column_stack([np.zeros(3), np.arange(3.0)]))
+    (record,) = signals_of_run(some, ["cmd_omega"]).records
+    np.testing.assert_array_equal(record.signals["cmd_omega"][:45], np.repeat([0.0, 1.0, 2.0], [20, 20, 5]))
+
+
 def test_scans_that_are_unevenly_spaced_or_have_gaps_are_a_note() -> None:
     run = turning_run()
     assert not signals_of_run(run, ["L67"]).notes

@@ -113,8 +113,8 @@ def perceived(readings: Floats, rays: Ints) -> Floats:
 def signals_of_run(run: Run, names: Sequence[str], *, every: int = 1) -> SignalData:
     """Return signals of a run at the stamps of its scans, every `every`-th of them.
 
-    Poses and odometry are interpolated, but not across a gap. The command of a scan is the last one before its stamp plus half a command
-    period, so that the reaction to this scan counts.
+    Poses and odometry are interpolated, but not across a gap. The command of a scan is the last one before its stamp plus half a period of
+    the commands or of the scans, the shorter one, so that the reaction to this scan counts.
     """
     known = _offered(run)
     for name in names:
@@ -169,8 +169,8 @@ def _interpolated(stamps: Floats, at: Floats, values: Floats) -> Floats:
 
 
 def _command(run: Run, column: int, stamps: Floats) -> Floats:
-    """Return the command valid just after each stamp (n,)."""
-    reaction = 0.5 * median_step(run.cmd_stamps, 0.0)
+    """Return the command valid just after each stamp (n,), before the next scan and the next command."""
+    reaction = 0.5 * min(median_step(run.cmd_stamps, 0.0), usual_step(run.stamps, np.inf))
     last = np.searchsorted(run.cmd_stamps, stamps + reaction, side="right") - 1
     out: Floats = run.commands[np.maximum(last, 0), column].astype(np.float64)
     out[(last < 0) | (stamps > run.cmd_stamps[-1] + MAX_COMMAND_AGE)] = np.nan
