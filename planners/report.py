@@ -1,6 +1,7 @@
 """The content of plan.json: coverage, time relative to the reference time, constraint checks, and warnings.
 
-`sampling_warnings` are for a drive that is too fast for its log: poses per bin, and motion during a scan.
+`sampling_warnings` are for a drive that is too fast for its log: poses per bin, and motion during a scan. `steering_warnings`
+are for a car that steers too slowly for its arcs.
 """
 
 from __future__ import annotations
@@ -76,6 +77,7 @@ def plan_report(
     lines += sampling_warnings(
         trajectory, cell=grid.cell, headings=grid.headings, rate=task.rate, sweep_time=sweep_time
     )
+    lines += steering_warnings(trajectory, vehicle, task.reach.clearance - vehicle.footprint_radius)
     for line in lines:
         logger.warning("%s", line)
     return {
@@ -161,6 +163,28 @@ def sampling_warnings(
                 f"{where}; {how[0]} at {_down(size / 2 / sweep_time)} {unit} or less, or {how[1]}"
             )
     return [*few, *swept]
+
+
+def steering_warnings(trajectory: Trajectory, vehicle: Vehicle, margin: float) -> list[str]:
+    """Return a line if a car that keeps `limits.alpha` leaves its path by more than the margin [m] where two arcs meet.
+
+    The turn rate of the path jumps by d at speed v. A car that changes its own at alpha needs T = d / alpha, and is then
+    v (d T² / 2 - alpha T³ / 6) = v d³ / (3 alpha²) aside.
+    """
+    if vehicle.drive == "diff" or len(trajectory.stamps) < 2:
+        return []
+    v, omega = trajectory.twists.T
+    alpha, jump = vehicle.limits.alpha, abs(np.diff(omega))
+    speed = np.minimum(abs(v[1:]), abs(v[:-1]))
+    aside = speed * jump**3 / (3 * alpha**2)
+    k = int(aside.argmax())
+    if aside[k] <= margin:
+        return []
+    return [
+        f"where arcs meet, the turn rate jumps by up to {jump[k]:.2g} rad/s at {speed[k]:.2g} m/s; with limits.alpha of "
+        f"{alpha:g} rad/s² the car is then about {aside[k]:.2g} m off its path, more than the margin of {margin:.2g} m; "
+        "lower limits.v, or enlarge the margin"
+    ]
 
 
 def _up(value: float) -> str:

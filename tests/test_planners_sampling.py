@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from planners.report import sampling_warnings
+from planners.report import sampling_warnings, steering_warnings
 from planners.trajectory import Trajectory
-from planners.vehicle import Vehicle
+from planners.vehicle import Limits, Vehicle
 
 ROBOT = Vehicle()
 
@@ -60,3 +60,20 @@ def test_who_does_what_a_warning_says_is_not_warned_again() -> None:
         line for line in sampling_warnings(drive(1.3, 4.0), rate=max(rates), **grid) if "log of" in line
     ]
     assert sampling_warnings(drive(min(speeds), min(spins)), rate=4.0, **grid) == []
+
+
+@pytest.mark.parametrize(("v", "alpha"), [(0.4, 2.0), (0.2, 2.0), (0.4, 8.0)])
+def test_a_car_that_steers_too_slowly_for_its_arcs_is_said_with_how_far_it_leaves_them(
+    v: float, alpha: float
+) -> None:
+    """Arcs of 0.4 m to the right and to the left; the truth is integrated in small steps."""
+    rate = v / 0.4
+    arcs = drive(v, rate)
+    arcs.twists[5:, 1] = -rate
+    t = np.linspace(0.0, 2 * rate / alpha, 100_001)
+    late = 2 * rate * t - alpha * t**2 / 2  # [rad]
+    aside = float(np.trapezoid(v * late, t))
+    car = Vehicle(drive="dubins", limits=Limits(alpha=alpha, turning_radius=0.4))
+    lines = steering_warnings(arcs, car, 0.02)
+    assert [f"about {aside:.2g} m off" in line for line in lines] == [True] * (aside > 0.02)
+    assert steering_warnings(arcs, ROBOT, 0.02) == []
