@@ -82,3 +82,16 @@ def test_an_identified_controller_commands_what_its_model_predicts_in_free_run(
     expected = replace(model, is_magnitude=False).predict_mpo(whole)[back:]
     np.testing.assert_allclose(driven, np.abs(expected) if model.is_magnitude else expected, atol=1e-12)
     assert np.ptp(driven) > 0.1
+
+
+def test_a_command_kept_for_lack_of_a_return_is_a_past_command() -> None:
+    model = Narmax(
+        output="cmd_omega", terms=Terms.parse("L60_120(k-1)", "cmd_omega(k-2)"), theta=np.array([1.0, 0.5]),
+        covariance=np.zeros((2, 2)), err=np.zeros(2), sigma=0.1, n_samples=100,
+    )  # fmt: skip
+    robot = default_robot()
+    steer = PolynomialController(model, {"signals": {"L60_120": "L60-120"}}, robot, name="model")
+    driven = [steer(np.full(robot.sensor.n_rays, value))[1] for value in (0.2, 0.4, np.inf, 0.8)]
+    assert driven == pytest.approx([0.2, 0.2, 0.2, 0.4 + 0.5 * 0.2])
+    driven = [steer(np.full(robot.sensor.n_rays, value))[1] for value in (np.inf, 0.3)]
+    assert driven == pytest.approx([0.5, 0.8 + 0.5 * 0.5])

@@ -166,6 +166,9 @@ class PolynomialController:
             now = {v: float(perceived(readings[None], rays)[0]) for v, rays in self.rays.items()}
             if all(np.isfinite(value) for value in now.values()):
                 self._step(now)
+            else:  # reading and command of this step are those of the step before
+                self.past = {v: [kept[0], *kept[:-1]] for v, kept in self.past.items()}
+                self.own = [self.own[0], *self.own[:-1]]
         return (self.held, self.command) if self.is_turn else (self.command, self.held)
 
     def _step(self, now: Mapping[str, float]) -> None:
