@@ -206,7 +206,7 @@ def check_free(name: str, place: Floats, arena: Arena, barriers: Barriers, clear
         )
     if away < clearance - ROUND_OFF:
         raise PlanError(
-            f"{where} is {away:.2f} m from a wall, less than the robot's radius and margin of {clearance:.2f} m; "
+            f"{where} is {away:.3f} m from a wall, less than the robot's radius and margin of {clearance:.3f} m; "
             "move it away from the wall or shrink footprint_radius"
         )
     return away

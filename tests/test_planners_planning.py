@@ -288,7 +288,7 @@ def test_waypoints_are_poses_with_quaternions_and_spins(square: Plan) -> None:
         ({"rate": -1.0}, "rate is -1"),
         ({"duration": 0.0, "planner": "random_bounce"}, "duration is 0"),
         ({"start": np.array([1.0, 2.0])}, "expected three finite numbers"),
-        ({"start": np.array([0.05, 2.0, 0.0])}, r"0\.05 m from a wall"),
+        ({"start": np.array([0.05, 2.0, 0.0])}, r"0\.050 m from a wall"),
         ({"start": np.array([1.3, 2.7, 0.0])}, "inside a wall"),
     ],
 )

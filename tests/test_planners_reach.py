@@ -79,7 +79,12 @@ def test_mask_keeps_clear_and_field_is_cut_off() -> None:
 @pytest.mark.parametrize(
     ("start", "clearance", "says"),
     [
-        ([1.0, 2.9, 0.0], 0.2, r"0\.10 m from a wall"),
+        ([1.0, 2.9, 0.0], 0.2, r"0\.100 m from a wall"),
+        (
+            [1.0, 2.801, 0.0],
+            0.2,
+            r"0\.199 m from a wall, less than the robot's radius and margin of 0\.200 m",
+        ),
         ([9.0, 9.0, 0.0], 0.2, r"inside a wall or outside"),
         ([2.0, 0.5, 0.0], 0.2, r"inside a wall"),
         (None, 1.6, "does not fit"),

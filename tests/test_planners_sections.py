@@ -263,7 +263,7 @@ def test_ctrl_c_before_anything_is_found_ends_all(rooms: tuple[Plan, Arena]) -> 
     ("options", "says"),
     [
         ({"end": np.array([5.0, 1.0, 0.0])}, r"end \(5, 1\) is .* m inside a wall or outside"),
-        ({"end": np.array([0.1, 1.0, 0.0])}, r"end \(0\.1, 1\) is 0\.10 m from a wall"),
+        ({"end": np.array([0.1, 1.0, 0.0])}, r"end \(0\.1, 1\) is 0\.100 m from a wall"),
         ({"end": np.array([1.0, np.nan, 0.0])}, "end is .*three finite numbers"),
         ({"budget": -1.0}, "budget is -1"),
         ({"budget": 0.3}, "budget of .* too short"),
@@ -271,7 +271,7 @@ def test_ctrl_c_before_anything_is_found_ends_all(rooms: tuple[Plan, Arena]) -> 
         ({"battery": 5.0, "dock": np.array([0.5, 0.5, 0.0])}, "battery of .* too small"),
         ({"dock": np.array([0.5, 0.5, 0.0])}, "a dock needs a battery"),
         ({"battery": 100.0, "budget": 100.0}, "leave out `end` and `budget`"),
-        ({"battery": 100.0, "dock": np.array([0.1, 0.5, 0.0])}, r"0\.10 m from a wall"),
+        ({"battery": 100.0, "dock": np.array([0.1, 0.5, 0.0])}, r"0\.100 m from a wall"),
         (
             {"battery": 100.0, "dock": np.array([0.5, 0.5, 0.0]), "start": np.array([1.0, 0.5, 0.0])},
             "starts at the dock",
