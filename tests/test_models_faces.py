@@ -73,6 +73,27 @@ def boxed() -> tuple[Arena, Faces]:
     return arena, Faces.fit(scans_of(arena, somewhere(arena, 400, rng), rng), calibrate=False)
 
 
+def rays_on(arena: Arena, poses: Floats) -> tuple[Floats, np.ndarray]:
+    """True ranges, and a mask of the rays that end on the obstacle."""
+    hits = cast(arena, poses, SENSOR)
+    return hits.ranges, np.array([name.startswith("box") for name in arena.names])[hits.wall]
+
+
+@pytest.mark.parametrize("width", [0.02, *further(0.03, 0.04)])
+def test_leg_as_thin_as_the_noise_is_seen_from_every_side(width: float) -> None:
+    turn, corners = np.radians(20.0), np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * width / 2
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    arena, rng = room((corners @ axes + 2.0).tolist()), np.random.default_rng(6)
+    model = Faces.fit(scans_of(arena, somewhere(arena, 1000, rng), rng), calibrate=False)
+    fresh = somewhere(arena, 2000, rng)
+    ranges, on_leg = rays_on(arena, fresh)
+    said = model.predict(fresh, np.arange(SENSOR.n_rays), "mode")
+    off = np.abs(said.mode - ranges) > 0.05
+    assert off[on_leg].mean() < 0.2  # two thirds if it is seen from some sides only; a tenth of it is edges
+    assert (off & said.answered)[on_leg].mean() < 0.05
+    assert off[~on_leg].mean() < 1e-3
+
+
 def test_square_room_is_four_faces_known_to_a_millimetre() -> None:
     arena, rng = room(), np.random.default_rng(1)
     model = Faces.fit(scans_of(arena, somewhere(arena, 100, rng), rng), calibrate=False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sensorgraph.models.faces.change_points import crossings_of, fit_stretches, has_length, take_faces
 from sensorgraph.models.faces.corners import joined_visible, with_edge_errors
-from sensorgraph.models.faces.forward_selection import Lines, select_lines
+from sensorgraph.models.faces.forward_selection import Lines, select_lines, select_small_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.maximisation import m_step
 from sensorgraph.models.faces.ray_march import FaceSet
@@ -78,8 +78,8 @@ def fit_faces(
     draft = _thinned(final, DRAFT_RAYS)
     faces, noise, expectation = _select_and_fit(draft, hit_moments, sigma, coarse)
     work.add(1)
-    for _ in range(ROUNDS):
-        more = _select_unexplained(draft, expectation, noise, coarse)
+    for k in range(ROUNDS):
+        more = _select_unexplained(draft, expectation, noise, coarse, small=k == ROUNDS - 1)
         faces = take_faces(faces, np.flatnonzero(expectation.line_sums[:, 7] > FACES.min_face_gain))
         faces = binned_faces(split_bent_faces(draft, faces, noise).joined(more))
         faces, noise, expectation = _em(draft, faces, noise, passes=ROUND_PASSES)
@@ -159,11 +159,17 @@ def _em(
     return faces, noise, expectation
 
 
-def _select_unexplained(rays: Rays, expectation: Expectation, noise: ReturnNoise, coarse: int) -> Lines:
-    """Select lines among the returns that no face explains."""
+def _select_unexplained(
+    rays: Rays, expectation: Expectation, noise: ReturnNoise, coarse: int, *, small: bool
+) -> Lines:
+    """Select lines among the returns that no face explains: those with a clear normal, or `small` ones."""
     left = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
-    hit_moments = HitMoments.of(rays.hits[left], rays.directions[left])
-    return select_lines(hit_moments, sigma=noise.sigma, coarse=coarse, limits=FACES.later_lines)
+    hits, directions = rays.hits[left], rays.directions[left]
+    if small:
+        sides = HitMoments.by_direction(hits, directions)
+        return select_small_lines(sides, sigma=noise.sigma, coarse=coarse)
+    moments = HitMoments.of(hits, directions)
+    return select_lines(moments, sigma=noise.sigma, coarse=coarse, limits=FACES.later_lines)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:

@@ -10,7 +10,9 @@ that were hit, not on the length of the log.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,8 +77,9 @@ def coarseness(range_noise: float) -> int:
 
 
 def select_lines(
-    hit_moments: HitMoments, *, sigma: float, coarse: int = 1, limits: LineLimits = FACES.first_lines
-) -> Lines:
+    hit_moments: HitMoments, *, sigma: float, coarse: int = 1, limits: LineLimits = FACES.first_lines,
+    facing: bool = False,
+) -> Lines:  # fmt: skip
     """Select lines until no more lines satisfy the limits.
 
     Parameters
@@ -85,9 +88,12 @@ def select_lines(
     coarse : `coarseness` of the laser: cells, gaps and lengths suit one of `FACES.first_sigma`. Hits of another one are
         selected as those of a place that is so many times smaller.
     limits : Minimum hits and length of a line, and the gap that ends it.
+    facing : Whether hits without a clear normal may be a line that faces their rays; otherwise no line begins there.
     """
     if coarse > 1:
-        lines = select_lines(hit_moments.scaled_down(coarse), sigma=sigma / coarse, limits=limits)
+        lines = select_lines(
+            hit_moments.scaled_down(coarse), sigma=sigma / coarse, limits=limits, facing=facing
+        )
         return Lines(normals=lines.normals, offsets=coarse * lines.offsets, spans=coarse * lines.spans)
     if len(hit_moments.cells) == 0:
         return Lines(normals=np.zeros((0, 2)), offsets=np.zeros(0), spans=np.zeros((0, 2)))
@@ -104,7 +110,7 @@ def select_lines(
     n_lines = _select_lines(
         grid, np.ascontiguousarray(column), np.ascontiguousarray(row), centres, mean, moments, reach,
         float(max(BAND_SIGMAS * sigma, MIN_BAND)), limits.min_hits, limits.gap, limits.min_length,
-        _new_work(len(mean), reach), found,
+        facing, _new_work(len(mean), reach), found,
     )  # fmt: skip
     rows = found[:n_lines]
     normals = rows[:, :2]
@@ -114,6 +120,25 @@ def select_lines(
         offsets=rows[:, 2] + normals @ middle,
         spans=rows[:, 3:5] + (tangents @ middle)[:, None],
     )
+
+
+def select_small_lines(sides: Sequence[HitMoments], *, sigma: float, coarse: int = 1) -> Lines:
+    """Select lines among hits that longer lines leave unexplained, on each side of things separately.
+
+    Hits on the front and on the back of a thing that is as thin as the noise lie in the same cells, where they have no common
+    normal. So only hits of similar ray directions are pooled. A thing as narrow as the noise, such as the leg of a chair,
+    has no clear normal from any side; it is a line that faces the laser.
+
+    Parameters
+    ----------
+    sides : Hits by the direction of their rays (`HitMoments.by_direction`).
+    sigma, coarse : As for `select_lines`.
+    """
+    found = [
+        select_lines(hits, sigma=sigma, coarse=coarse, limits=FACES.later_lines, facing=True)
+        for hits in sides
+    ]
+    return reduce(Lines.joined, found)
 
 
 class SelectionWork(NamedTuple):
@@ -157,11 +182,11 @@ def _new_work(n: int, reach: float) -> SelectionWork:
 @outer_kernel
 def _select_lines(
     grid: Any, column: Any, row: Any, centres: Any, mean: Any, moments: Any, reach: Any, band: Any,
-    min_hits: Any, gap: Any, min_length: Any, work: Any, found: Any,
+    min_hits: Any, gap: Any, min_length: Any, facing: Any, work: Any, found: Any,
 ) -> Any:  # fmt: skip
     """Write lines to `found`: normal, offset, first and last abscissa; return their number."""
     angle, live, members, heap, places, order, votes, tops, peaks, stale, cos, sin = work
-    _find_normals(grid, column, row, centres, moments, angle)
+    _find_normals(grid, column, row, centres, moments, facing, angle)
     for b in range(N_ANGLES):
         cos[b], sin[b] = np.cos(2 * np.pi * b / N_ANGLES), np.sin(2 * np.pi * b / N_ANGLES)
     for i in range(len(mean)):
@@ -223,8 +248,12 @@ def _vote(
 
 
 @inner_kernel
-def _find_normals(grid: Any, column: Any, row: Any, centres: Any, moments: Any, angle: Any) -> Any:
-    """Find the bin of the angle of each cell's normal, from the moments of surrounding cells; -1 if it is unclear.
+def _find_normals(
+    grid: Any, column: Any, row: Any, centres: Any, moments: Any, facing: Any, angle: Any
+) -> Any:
+    """Find the bin of the angle of each cell's normal, from the moments of surrounding cells.
+
+    An unclear normal is -1, or faces the rays of the cell if `facing`.
 
     With the covariance (xx, xy, yy) of the hits, their long axis has the angle ½ atan2(2 xy, xx - yy), and their variances
     along and across it are ½ (xx + yy) ± sqrt(¼ (xx - yy)² + xy²). The normal faces the mean direction of the rays.
@@ -261,8 +290,16 @@ def _find_normals(grid: Any, column: Any, row: Any, centres: Any, moments: Any, 
                 nx_, ny_ = -np.sin(along), np.cos(along)
                 if nx_ * ux + ny_ * uy > 0:
                     nx_, ny_ = -nx_, -ny_
-                angle[i] = np.floor(np.arctan2(ny_, nx_) / (2 * np.pi) * N_ANGLES + 0.5) % N_ANGLES
+                angle[i] = _bin_of(nx_, ny_)
                 break
+        if facing and angle[i] < 0:
+            angle[i] = _bin_of(-moments[i, 6], -moments[i, 7])
+
+
+@inlined_kernel
+def _bin_of(nx: Any, ny: Any) -> Any:
+    """Return the bin of the angle of a normal."""
+    return np.floor(np.arctan2(ny, nx) / (2 * np.pi) * N_ANGLES + 0.5) % N_ANGLES
 
 
 @inlined_kernel

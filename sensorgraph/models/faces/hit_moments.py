@@ -17,6 +17,8 @@ from sensorgraph.types import Floats
 HIT_CELL = FACES.hit_cell
 """[m] Side of a cell."""
 N_MOMENTS = 8  # count, x, y, xx, xy, yy (about the cell's centre), ux, uy
+N_SECTORS = 8
+"""Number of sectors of ray directions by which the sides of a thin thing are distinguished."""
 _KEY_OFFSET = 1 << 30  # a key distinguishes ± this many cells along an axis
 
 
@@ -41,6 +43,20 @@ class HitMoments:
         columns = (w, w * x, w * y, w * x * x, w * x * y, w * y * y, w * ux, w * uy)
         sums = [np.bincount(row, column, minlength=len(hit)) for column in columns]
         return cls(cells=hit, moments=np.stack(sums, axis=1))
+
+    @classmethod
+    def by_direction(cls, points: Floats, directions: Floats) -> list[HitMoments]:
+        """Pool end points (n, 2) [m] of rays with directions (n, 2) in `N_SECTORS` sectors of direction separately."""
+        sector = _sectors(directions)
+        return [cls.of(points[sector == k], directions[sector == k]) for k in range(N_SECTORS)]
+
+    def split_by_direction(self) -> list[HitMoments]:
+        """Divide the cells into `N_SECTORS` sectors by the mean direction of their rays."""
+        sector = _sectors(self.moments[:, 6:8])
+        return [
+            HitMoments(cells=self.cells[sector == k], moments=self.moments[sector == k])
+            for k in range(N_SECTORS)
+        ]
 
     def merge(self, other: HitMoments) -> HitMoments:
         """Return the moments of two disjoint sets of hits together."""
@@ -73,6 +89,12 @@ class HitMoments:
     def centres(self) -> Floats:
         """(n_cells, 2) [m] centres of the cells in map."""
         return np.asarray((self.cells + 0.5) * HIT_CELL, dtype=np.float64)
+
+
+def _sectors(directions: Floats) -> NDArray[np.intp]:
+    """Return the sector (n,) of each direction (n, 2), which need not be of unit length."""
+    turn = np.arctan2(directions[:, 1], directions[:, 0])
+    return np.floor(turn / (2 * np.pi) * N_SECTORS).astype(np.intp) % N_SECTORS
 
 
 def _distinct(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:

@@ -15,7 +15,7 @@ from sensorgraph.models.faces.change_points import (
 )
 from sensorgraph.models.faces.corners import joined_visible, with_edge_errors
 from sensorgraph.models.faces.fit import PASSES
-from sensorgraph.models.faces.forward_selection import Lines, coarseness, select_lines
+from sensorgraph.models.faces.forward_selection import Lines, coarseness, select_small_lines
 from sensorgraph.models.faces.hit_moments import HitMoments
 from sensorgraph.models.faces.maximisation import STRAY_RANGE, estimate_noise, refit_lines, stretch_visibility
 from sensorgraph.models.faces.observed_space import ObservedSpace
@@ -62,13 +62,10 @@ def update_faces(
     alone = _refitted(faces, statistics, rays, noise, pose_errors, scale).faces
     expectation = e_step(rays, alone, noise)  # edges that few old rays met may have moved
     unexplained = (expectation.unexplained > 0.5) & np.isfinite(rays.ranges)
-    hits = HitMoments.of(rays.hits[unexplained], rays.directions[unexplained])
-    lines = select_lines(
-        hits.merge(statistics.unexplained_hits),
-        sigma=noise.sigma,
-        coarse=coarseness(noise.sigma),
-        limits=FACES.later_lines,
-    )
+    fresh = HitMoments.by_direction(rays.hits[unexplained], rays.directions[unexplained])
+    stored = statistics.unexplained_hits.split_by_direction()
+    sides = [a.merge(b) for a, b in zip(fresh, stored, strict=True)]
+    lines = select_small_lines(sides, sigma=noise.sigma, coarse=coarseness(noise.sigma))
     old = _with_new_faces(statistics, lines, observed)
     n_old = faces.n_faces
     faces = joined_faces(faces, binned_faces(lines))
