@@ -19,6 +19,8 @@ from sensorgraph.building.split import SPLITS, held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.evaluate import evaluate
 from sensorgraph.evaluation.metrics import MetricSums
+from sensorgraph.loading import load_arena
+from sensorgraph.world.raycast import cast
 
 pytestmark = pytest.mark.usefixtures("trusted_scans")
 
@@ -171,6 +173,36 @@ def test_calibration_counts_every_scored_ray_once(run: Run) -> None:
     assert sum(row["n"] for row in result.calibration) == result.n_rays
     seen = sum(row["seen"] * row["n"] for row in result.calibration) / result.n_rays
     assert seen == pytest.approx(result.all["wrong_5cm"])
+
+
+@pytest.mark.parametrize("size", [0.003, *further(0.01)])
+def test_errors_of_the_poses_are_in_what_the_graph_expects(size: float) -> None:
+    """A ray beside an edge shows another surface from a pose that is some millimetres off."""
+    arena = load_arena("square")
+    sensor = RangeSensor(bearings=np.linspace(-np.pi / 2, np.pi / 2, 91), range_max=12.0, sigma=0.005)
+
+    def drive(n: int, seed: int, *, errors: float) -> Run:
+        rng, stamps = np.random.default_rng(seed), np.arange(n) / 10
+        x0, y0, x1, y1 = arena.bounds
+        poses = rng.uniform([x0, y0, -np.pi], [x1, y1, np.pi], (20 * n, 3))
+        poses = poses[arena.contains(poses[:, :2])][:n]
+        ranges = cast(arena, poses, sensor).ranges
+        ranges = ranges + sensor.sigma * rng.normal(size=ranges.shape)
+        poses = poses + errors * rng.normal(size=poses.shape)  # [m, m, rad]
+        return Run(sensor=sensor, stamps=stamps, ranges=ranges, pose_stamps=stamps, poses=poses)
+
+    graph = build([drive(800, 1, errors=0.0)], calibrate=False)
+    exact, result = (evaluate(graph, drive(400, 2, errors=errors)) for errors in (0.0, size))
+    assert exact.settings["pose_errors"] == {"xy_m": 0.0, "yaw_rad": 0.0}
+    found = result.settings["pose_errors"]
+    assert found["xy_m"] == pytest.approx(size, rel=0.15) and found["yaw_rad"] == pytest.approx(
+        size, rel=0.15
+    )
+    expected, seen = result.all["wrong_5cm_expected"], result.all["wrong_5cm"]
+    assert expected is not None and seen is not None
+    assert seen / 1.5 < expected < 1.5 * seen  # without the errors of the poses, a third and less
+    inside = result.all["within_3sigma_said"]
+    assert inside is not None and inside > 0.99
 
 
 def test_report_is_json_with_the_promised_keys(run: Run) -> None:

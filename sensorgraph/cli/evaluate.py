@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,6 +27,7 @@ ROWS = (
     ("within 0.5 m", "within_0.5m", "%"),
     ("within 3 sigma", "within_3sigma", "%"),
     ("off by > 5 cm", "wrong_5cm", "%"),
+    ("expected off by > 5 cm", "wrong_5cm_expected", "%"),
     ("correlation r", "pearson_r", ""),
     ("chamfer distance", "chamfer_m", "m"),
     ("f-score at 0.1 m", "f_score", ""),
@@ -174,8 +176,13 @@ def table(
         f"{'share of rays':<24}{_row(['100.0 %', _cell(result.answered, '%')])}",
     ]
     for label, key, unit in ROWS:
-        row = _row([_cell(block[key], unit) for block in blocks.values()])
+        row = _row([_cell(block.get(key), unit) for block in blocks.values()])
         lines.append(f"{label:<24}{row}   {result.settings['point'].get(key, '')}".rstrip())
+    if any(errors := list(result.settings["pose_errors"].values())):
+        lines.append(
+            f"expected: by the graph, for poses with the errors of this run: {1e3 * errors[0]:.1f} mm and "
+            f"{math.degrees(errors[1]):.2f}°"
+        )
     if result.in_sequence:
         lines.append(
             "all, answered: from the pose alone; one step: from previous scans; free run: from the model's own "

@@ -20,9 +20,10 @@ from sensorgraph.building.split import held_out
 from sensorgraph.errors import SensorgraphError
 from sensorgraph.evaluation.in_sequence import sequence_metrics, sequence_predictions
 from sensorgraph.evaluation.metrics import POINT_OF, Metrics, MetricSums, Reliability
+from sensorgraph.evaluation.pose_errors import pose_errors_of
 from sensorgraph.graph import POSES_AT_A_TIME, Sensorgraph
 from sensorgraph.intake import check_jumps
-from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction
+from sensorgraph.models.base import OFF_DISTANCE, Point, Prediction, TrainingScans
 from sensorgraph.models.faces.model import Faces
 from sensorgraph.types import Bools, Floats, Ints, Progress
 from sensorgraph.world.orientation import MAX_MEDIAN_ERROR
@@ -31,6 +32,8 @@ from sensorgraph.world.simulate import SCANS_PER_STEP
 
 MIN_SCORED_RANGE = 0.1
 """[m] Shorter returns are not scored: they are the robot's own body or broken readings."""
+MAX_READINGS = 250_000
+"""Number of readings, in whole scans, by which the errors of the poses are estimated."""
 MAX_SCORED_RANGE = 10.0
 """[m] Longer returns are not scored, unless another cap is given."""
 
@@ -52,13 +55,16 @@ class Evaluation:
     all: Metrics
     answered_only: Metrics
     calibration: list[dict[str, float]]
-    """Bins {said, seen, n}: predicted and observed probability of an error above 5 cm, and the number of rays."""
+    """Bins {said, seen, n}: predicted and observed probability of an error above 5 cm, and the number of rays.
+
+    Both are of the predictions for poses with the errors that the run's poses have (`pose_errors` in `settings`).
+    """
     in_sequence: Mapping[str, Metrics]
     """`one_step`, `free_run` and `persistence` of a model with memory, on the rays of `all`; otherwise empty."""
     answered: float
     """Share of the scored rays that the graph answers."""
     settings: dict[str, Any]
-    """`scored`, `point`, `split`, `sigma_m`, `training` and counts."""
+    """`scored`, `point`, `split`, `sigma_m`, `pose_errors` [m, rad], `training` and counts."""
 
     @cached_property
     def prediction(self) -> Prediction:
@@ -131,7 +137,8 @@ def evaluate(
 
     A ray is scored if its measured return lies between 0.1 m and `cap` (default: 10 m, or range_max if that is
     smaller). Errors compare the return with the value predicted given a return. `no_return_recall` and
-    `no_return_precision` score the prediction of missing returns over all valid rays.
+    `no_return_precision` score the prediction of missing returns over all valid rays. `wrong_5cm_expected` is the share of
+    errors above 5 cm that the graph expects, given the errors of the run's poses, which the readings show.
     Without `force`, a run whose poses jump is refused, as the commands do.
 
     Raises
@@ -150,9 +157,10 @@ def evaluate(
         raise SensorgraphError(f"nothing to evaluate: {pairing}{held}")
     sigma = run.sensor.sigma if run.sensor.sigma > 0 else 0.01
     all_rays, answered = (
-        MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma) for _ in ("all", "answered")
+        MetricSums(bearings=run.sensor.bearings, point=point, sigma=sigma) for _ in range(2)
     )
-    calibration = Reliability()
+    calibration, errors = Reliability(), _pose_errors(graph, run, pairing, index, rays)
+    uncertain = graph.with_pose_errors(*errors) if any(errors) else graph
     residual = np.full((len(index), run.sensor.n_rays), np.nan)
     answered_rays = np.zeros(residual.shape, dtype=np.bool_)
     for first in range(0, len(index), POSES_AT_A_TIME):
@@ -164,10 +172,13 @@ def evaluate(
         scored = np.isfinite(measured) & (measured > MIN_SCORED_RANGE) & (measured < cap)
         off = np.where(scored, measured - prediction.point(point or "mode"), np.nan)
         residual[some], answered_rays[some] = off, prediction.answered
-        valid = ~np.isnan(measured)
-        all_rays.add(measured, prediction, scored, valid)
-        answered.add(measured, prediction, scored & prediction.answered, valid & prediction.answered)
-        calibration.add(prediction.p_off[scored], np.abs(off[scored]) > OFF_DISTANCE)
+        valid, stated = ~np.isnan(measured), prediction
+        if uncertain is not graph:
+            stated = predict_scans(uncertain, run, pairing, index[some], point=point or "mode")
+            off = np.where(scored, measured - stated.point(point or "mode"), np.nan)
+        all_rays.add(measured, prediction, scored, valid, stated)
+        answered.add(measured, prediction, scored & prediction.answered, valid & prediction.answered, stated)
+        calibration.add(stated.p_off[scored], np.abs(off[scored]) > OFF_DISTANCE)
     if not all_rays.total["n"]:
         raise SensorgraphError(
             f"no ray of the run returned between {MIN_SCORED_RANGE} m and {cap:g} m; nothing to score"
@@ -191,18 +202,12 @@ def evaluate(
         in_sequence=in_sequence,
         answered=answered.total["n"] / all_rays.total["n"],
         settings={
-            "scored": {
-                "from_m": MIN_SCORED_RANGE,
-                "to_m": cap,
-                "n_scans": len(index),
-                "of_scans": run.n_scans,
-            },
+            "scored": {"from_m": MIN_SCORED_RANGE, "to_m": cap, "n_scans": len(index), "of_scans": run.n_scans},
             "point": {name: point or default for name, default in POINT_OF.items()},
-            "split": split,
-            "sigma_m": sigma,
+            "split": split, "sigma_m": sigma, "pose_errors": dict(zip(("xy_m", "yaw_rad"), errors, strict=True)),
             "training": _training_overlap(graph, run, index, split),
         },
-    )
+    )  # fmt: skip
 
 
 def _rays_of(graph: Sensorgraph, run: Run) -> Ints:
@@ -244,6 +249,23 @@ def poses_for(graph: Sensorgraph, frame: PoseFrame, mount: Floats, poses: Floats
     if frame == graph.pose_frame:
         return poses
     return compose(poses, mount if graph.pose_frame == "laser" else invert(mount))
+
+
+def _pose_errors(
+    graph: Sensorgraph, run: Run, pairing: Pairing, scans: Ints, rays: Ints
+) -> tuple[float, float]:
+    """Return the errors [m, rad] of the poses of paired scans (n,), by scans spread evenly over the run."""
+    some = scans[:: -(-len(scans) * len(rays) // MAX_READINGS)]
+    order, mount, of_rays = np.argsort(rays), run.sensor.mount, None
+    if run.sensor.has_ray_poses:
+        of_rays = ray_poses(run, pairing, some, motion=motion_of(run))[:, order]
+        of_rays = poses_for(graph, run.pose_frame, mount, of_rays)
+    scans_there = TrainingScans(
+        sensor=graph.sensor, poses=poses_for(graph, run.pose_frame, mount, pairing.poses[some]),
+        ranges=run.ranges[np.ix_(some, order)], run=np.zeros(len(some), dtype=np.intp),
+        pose_frame=graph.pose_frame, ray_poses=of_rays,
+    )  # fmt: skip
+    return pose_errors_of(graph.model, scans_there)
 
 
 def _training_overlap(graph: Sensorgraph, run: Run, index: NDArray[np.intp], split: str | None) -> str:

@@ -50,8 +50,21 @@ class MetricSums:
     f_score: list[float] = field(default_factory=list)
     """One value for each scan with a scored ray."""
 
-    def add(self, measured: Floats, prediction: Prediction, scored: Bools, valid: Bools) -> None:
-        """Add scans (n_scans, n_rays) [m]; `scored` and `valid` are masks of the rays that count."""
+    def add(
+        self,
+        measured: Floats,
+        prediction: Prediction,
+        scored: Bools,
+        valid: Bools,
+        stated: Prediction | None = None,
+    ) -> None:
+        """Add scans (n_scans, n_rays) [m].
+
+        Parameters
+        ----------
+        scored, valid : (n_scans, n_rays) Masks of the rays that count.
+        stated : Prediction whose spread and `p_off` contain the errors of the poses; None: only the spread of `prediction`.
+        """
         missing, predicted = np.isposinf(measured) & valid, np.isposinf(prediction.ranges) & valid
         add = self.total
         add["no_return_measured"] += int(missing.sum())
@@ -71,7 +84,11 @@ class MetricSums:
         add["within_0.1m"] += int((error["within_0.1m"] <= 0.1).sum())
         add["within_0.5m"] += int((error["within_0.5m"] <= 0.5).sum())
         add["within_3sigma"] += int((error["within_3sigma"] <= 3 * self.sigma).sum())
-        add["within_3sigma_said"] += int((error["within_3sigma"] <= 3 * prediction.sigma[scored]).sum())
+        add["within_3sigma_said"] += int(
+            (error["within_3sigma"] <= 3 * (stated or prediction).sigma[scored]).sum()
+        )
+        if stated is not None:
+            add["wrong_5cm_expected"] += float(stated.p_off[scored].sum())
         add["wrong_5cm"] += int((error["wrong_5cm"] > OFF_DISTANCE).sum())
         self._add_correlation(truth, prediction.point(self.point or POINT_OF["pearson_r"])[scored])
         self._add_shape(measured, prediction.point(self.point or POINT_OF["chamfer_m"]), scored)
@@ -120,7 +137,7 @@ class MetricSums:
         out["no_return_precision"] = (
             total["no_return_both"] / total["no_return_predicted"] if total["no_return_predicted"] else None
         )
-        out["within_3sigma_said"] = None
+        out["within_3sigma_said"] = out["wrong_5cm_expected"] = None
         n = total["n"]
         if not n:
             return out
@@ -134,6 +151,8 @@ class MetricSums:
             "wrong_5cm",
         ):
             out[name] = total[name] / n
+        if "wrong_5cm_expected" in total:
+            out["wrong_5cm_expected"] = total["wrong_5cm_expected"] / n
         out["rmse_m"] = math.sqrt(total["rmse_m"] / n)
         size = math.sqrt(total["aa"] * total["bb"])
         out["pearson_r"] = total["ab"] / size if size > 0 else None

@@ -1,6 +1,6 @@
 """Removal of redundant faces: short ones whose returns longer ones nearby explain as well.
 
-Forward selection cannot know yet how far the faces reach that it selects later. In a corner, and between the ends of two
+Forward selection does not know the faces that it selects later. In a corner, and between the ends of two
 faces, it may therefore select a short face across, which hits within the noise of both seem to need.
 """
 
