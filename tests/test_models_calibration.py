@@ -219,7 +219,7 @@ def test_noisy_poses_come_back_and_their_noise_is_told() -> None:
     for noise in (ReturnNoise(sigma=SIGMA, sigma_xy=0.01, sigma_yaw=0.006), ReturnNoise(sigma=SIGMA)):
         here = compose(lasers, shifts)
         matches = match_readings(readings, here, RayTerms.none(len(BEARINGS)), faces, noise, 0.0)
-        better = refine_poses(readings, here, matches, faces, shifts, SIGMA)
+        better = refine_poses(readings, here, matches, faces, shifts, ReturnNoise(sigma=SIGMA))
         shifts = better.shifts
     assert better.sigma_xy == pytest.approx(0.01, rel=0.15)  # 600 numbers: 3 %; some returns are gated
     assert better.sigma_yaw == pytest.approx(0.006, rel=0.2)
@@ -232,7 +232,9 @@ def test_exact_poses_are_not_worth_refining() -> None:
     poses, ranges, _ = log(np.random.default_rng(6), 200)
     readings, lasers = readings_from(ranges), compose(poses, STATED)
     matches = match_readings(readings, lasers, RayTerms.none(61), true_faces(), ReturnNoise(sigma=SIGMA), 0.0)
-    better = refine_poses(readings, lasers, matches, true_faces(), np.zeros((200, 3)), SIGMA)
+    better = refine_poses(
+        readings, lasers, matches, true_faces(), np.zeros((200, 3)), ReturnNoise(sigma=SIGMA)
+    )
     assert better.log_evidence < 0 and better.sigma_xy < 0.001
 
 

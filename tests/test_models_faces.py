@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -92,6 +93,23 @@ def test_leg_as_thin_as_the_noise_is_seen_from_every_side(width: float) -> None:
     assert off[on_leg].mean() < 0.2  # two thirds if it is seen from some sides only; a tenth of it is edges
     assert (off & said.answered)[on_leg].mean() < 0.05
     assert off[~on_leg].mean() < 1e-3
+
+
+@pytest.mark.parametrize("growth", [0.02, *further(0.005, 0.05)])
+def test_noise_that_grows_with_the_range_is_stated_at_each_range(growth: float) -> None:
+    """As that of lasers that triangulate."""
+    arena, rng = room(BOX), np.random.default_rng(4)
+    poses, fresh = np.split(somewhere(arena, 800, rng), 2)
+    scans, truth = scans_of(arena, poses, rng, 0.0), cast(arena, fresh, SENSOR).ranges
+    noisy = [
+        r * (1 + growth * rng.normal(size=r.shape)) + 0.002 * rng.normal(size=r.shape)
+        for r in (scans.ranges, truth)
+    ]
+    model = Faces.fit(replace(scans, ranges=noisy[0]), calibrate=False)
+    graph = Sensorgraph(model=model, sensor=SENSOR, pose_frame="base_link", origin={})
+    within = np.abs(graph.predict(fresh).cdf(noisy[1]) - 0.5) < 0.45
+    for low, high in ((0.2, 1.0), (1.0, 2.0), (2.0, 4.0)):
+        assert within[(truth > low) & (truth < high)].mean() == pytest.approx(0.9, abs=0.02)
 
 
 def test_square_room_is_four_faces_known_to_a_millimetre() -> None:

@@ -18,7 +18,7 @@ from sensorgraph.errors import SensorgraphError
 from sensorgraph.graph import Sensorgraph
 from sensorgraph.loading import load_arena
 from sensorgraph.models.faces.ray_march import FaceSet
-from sensorgraph.models.faces.sufficient_statistics import rebase_line_sums
+from sensorgraph.models.faces.sufficient_statistics import SufficientStatistics, rebase_line_sums
 from sensorgraph.models.residual_memory import ResidualMemory
 from sensorgraph.world.raycast import cast
 
@@ -193,6 +193,23 @@ def test_cells_of_an_update_are_those_of_all_runs(sweeps: bool, room: Arena, tmp
     assert header == expected
     for name in wanted:
         np.testing.assert_array_equal(arrays[name], wanted[name], err_msg=name)
+
+
+def test_a_graph_without_sums_for_growing_noise_is_updated(
+    first: Sensorgraph, room: Arena, sensor: RangeSensor
+) -> None:
+    """Graphs of 0.2.0 and before have sums for three kinds of noise."""
+    model = first.model
+    arrays = model.statistics.arrays()
+    arrays["spread"] = arrays["spread"][:3, [0, 1, 2, 4]]
+    statistics = SufficientStatistics.from_arrays(arrays, model.faces)
+    again = drive(room, sensor, 300, 2)
+    of_old, of_new = (
+        build([again], update=replace(first, model=replace(model, statistics=one))).model
+        for one in (statistics, model.statistics)
+    )
+    assert of_old.noise.sigma == pytest.approx(of_new.noise.sigma, rel=0.02)
+    np.testing.assert_allclose(of_old.faces.offsets, of_new.faces.offsets, atol=1e-3)
 
 
 @pytest.mark.parametrize("others", ["old", *further("old and whole")])

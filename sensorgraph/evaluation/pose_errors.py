@@ -41,7 +41,7 @@ def pose_errors_of(model: Model, scans: TrainingScans) -> tuple[float, float]:
     noise, terms = noise_of_poses(model, None, None), model.calibration.terms
     for _ in range(PASSES):
         matches = match_readings(readings, lasers, terms, model.faces, noise, 0.0)
-        found = refine_poses(readings, lasers, matches, model.faces, shifts, noise.sigma)
+        found = refine_poses(readings, lasers, matches, model.faces, shifts, noise)
         if found.log_evidence < CALIBRATION.min_gain or exceeds_max_noise(found.sigma_xy, found.sigma_yaw):
             return 0.0, 0.0
         noise = noise_of_poses(model, found.sigma_xy, found.sigma_yaw)

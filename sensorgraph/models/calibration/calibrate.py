@@ -364,7 +364,7 @@ class _JointCalibration:
         )  # fmt: skip
 
     def _poses(self, matches: Matches) -> RefinedPoses:
-        found = refine_poses(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise.sigma)
+        found = refine_poses(self.readings, self.lasers, matches, self.faces, self.shifts, self.noise)
         if exceeds_max_noise(found.sigma_xy, found.sigma_yaw):
             logger.info("poses off by %.2f m, %.2f rad: not refined", found.sigma_xy, found.sigma_yaw)
             return replace(found, log_evidence=0.0)

@@ -18,6 +18,7 @@ from planners.kernel import inner_kernel, outer_kernel
 from sensorgraph.models.calibration.matching import Matches, Readings
 from sensorgraph.models.calibration.settings import CALIBRATION
 from sensorgraph.models.faces.ray_march import FaceSet
+from sensorgraph.models.faces.visibility import ReturnNoise
 from sensorgraph.types import Floats, Ints
 
 FIRST_NOISE = np.array([0.005, 0.005, 0.005])
@@ -43,9 +44,9 @@ class RefinedPoses:
 
 
 def refine_poses(
-    readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, shifts: Floats, sigma: float
+    readings: Readings, lasers: Floats, matches: Matches, faces: FaceSet, shifts: Floats, noise: ReturnNoise
 ) -> RefinedPoses:
-    """Refine poses, given returns with range noise `sigma` [m].
+    """Refine poses, given returns with the range noise of `noise`.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def refine_poses(
     n = len(shifts)
     information, rhs = np.zeros((n, 3, 3)), np.zeros((n, 3))
     heading = lasers[readings.pose, 2]
-    weight = np.where(matches.weight > 0, matches.probability / sigma**2, 0.0)
+    is_used = matches.weight > 0
+    weight = np.where(is_used, matches.probability / noise.at(np.where(is_used, matches.rho, 0.0)) ** 2, 0.0)
     _pose_equations(
         readings.scan, np.cos(heading), np.sin(heading), np.maximum(matches.face, 0), matches.rho, matches.den,
         matches.along, matches.residual, weight, faces.normals, information, rhs, np.empty(3),

@@ -14,6 +14,8 @@ from sensorgraph.types import Floats
 
 SHOWN_SHARE = 0.01
 """Share of poses below which a face or a stretch of it is printed only on request."""
+SHOWN_GROWTH = 5e-4
+"""[m/m] Growth of the noise with the range that is printed: 0.5 mm at 1 m."""
 
 
 def face_equations(model: FacesData, start: Floats, *, ray: int, every: bool) -> list[str]:
@@ -43,6 +45,8 @@ def face_equations(model: FacesData, start: Floats, *, ray: int, every: bool) ->
         )
     noise = model.noise
     spread = f"{noise.sigma:.4f} m"
+    if noise.growth > SHOWN_GROWTH:
+        spread = f"sqrt({noise.sigma:.4f}² + ({noise.growth:.4f} r)²) m"
     if noise.sigma_xy > 0 or noise.sigma_yaw > 0:
         spread += f" of range, {noise.sigma_xy:.4f} m and {noise.sigma_yaw:.5f} rad of pose"
     terms = _laser_terms(model.calibration.terms, ray)

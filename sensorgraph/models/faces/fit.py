@@ -167,9 +167,9 @@ def _select_unexplained(
     hits, directions = rays.hits[left], rays.directions[left]
     if small:
         sides = HitMoments.by_direction(hits, directions)
-        return select_small_lines(sides, sigma=noise.sigma, coarse=coarse)
+        return select_small_lines(sides, sigma=noise.typical(rays), coarse=coarse)
     moments = HitMoments.of(hits, directions)
-    return select_lines(moments, sigma=noise.sigma, coarse=coarse, limits=FACES.later_lines)
+    return select_lines(moments, sigma=noise.typical(rays), coarse=coarse, limits=FACES.later_lines)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:

@@ -1,10 +1,12 @@
 """M step of the EM: visibility of stretches, lines of faces and noise from the sums of an E step (`visibility`).
 
 Visibility of a stretch: (stops + prior_stops) / (reached + prior_crossings). Lines: weighted least squares. Noise: the
-variances sigma², sigma_xy² and sigma_yaw² of a return, which are not negative.
+variances sigma², sigma_xy², sigma_yaw² and growth² of a return, which are not negative.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -82,14 +84,15 @@ def moved_lines(faces: FaceSet, shift: Floats, turn: Floats, centre: Floats) -> 
 
 
 def estimate_noise(noise: ReturnNoise, spread: Floats, stray: float) -> ReturnNoise:
-    """Estimate range noise and pose noise from e² = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)², by NNLS."""
-    scale = np.sqrt(np.maximum(np.diag(spread[:, :3]), 1e-300))
+    """Estimate noise of range and pose from e² = sigma² + (growth r)² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)², by NNLS."""
+    scale = np.sqrt(np.maximum(np.diag(spread[:, :4]), 1e-300))
     if spread[0, 0] <= 0:
-        return ReturnNoise(sigma=noise.sigma, sigma_xy=noise.sigma_xy, sigma_yaw=noise.sigma_yaw, stray=stray)
-    solution = nnls(spread[:, :3] / scale[:, None] / scale, spread[:, 3] / scale)[0] / scale
+        return replace(noise, stray=stray)
+    solution = nnls(spread[:, :4] / scale[:, None] / scale, spread[:, 4] / scale)[0] / scale
     return ReturnNoise(
         sigma=float(np.sqrt(max(solution[0], MIN_VARIANCE))),
         sigma_xy=float(np.sqrt(solution[1])),
         sigma_yaw=float(np.sqrt(solution[2])),
         stray=stray,
+        growth=float(np.sqrt(solution[3])),
     )

@@ -32,7 +32,7 @@ from sensorgraph.models.cones.prediction import cone_equations, cone_table
 from sensorgraph.models.cones.settings import measures_cones
 from sensorgraph.models.distribution import Mixture, single_mixture
 from sensorgraph.models.faces.data import FacesData, restored_fields, stored
-from sensorgraph.models.faces.equations import face_equations
+from sensorgraph.models.faces.equations import SHOWN_GROWTH, face_equations
 from sensorgraph.models.faces.fit import fit_faces
 from sensorgraph.models.faces.forward_selection import coarseness
 from sensorgraph.models.faces.ray_march import (
@@ -59,7 +59,7 @@ from sensorgraph.models.faces.thin_rays import (
 )
 from sensorgraph.models.faces.update import update_faces
 from sensorgraph.models.likelihood import log_density
-from sensorgraph.models.mixture import NO_RETURN, P_OFF, to_prediction, which_of
+from sensorgraph.models.mixture import MODE, NO_RETURN, P_OFF, to_prediction, which_of
 from sensorgraph.types import Bools, Floats, Ints, Progress, ProgressBars, no_progress
 
 
@@ -188,7 +188,9 @@ class Faces(FacesData):
             table, supported = cone_table(self, lasers(poses, self.mount), rays, which_of(point))
         else:
             table, supported = thin_table(self, self.buckets, poses, rays, which_of(point))
-        by_noise = 2.0 * float(ndtr(-OFF_DISTANCE / self.noise.sigma))  # of a surface that is known exactly
+        by_noise = 2.0 * ndtr(
+            -OFF_DISTANCE / self.noise.at(table[..., MODE])
+        )  # of a surface that is known exactly
         most = by_noise + (1.0 - by_noise) * FACES.max_p_off
         is_clear = (table[..., P_OFF] < most) | (table[..., NO_RETURN] > 1 - FACES.max_p_off)
         return to_prediction(table, point, supported & is_clear)
@@ -238,9 +240,10 @@ class Faces(FacesData):
     def summary(self) -> Mapping[str, str]:
         """Return the main facts as label -> text."""
         stretches = int((self.faces.levels > MIN_VISIBILITY).sum())
+        grows = f" and {100 * self.noise.growth:.2f} %" if self.noise.growth > SHOWN_GROWTH else ""
         return {
             "faces": f"{self.faces.n_faces}, with {stretches} visible stretches",
-            "noise": f"{1e3 * self.noise.sigma:.1f} mm of range, {1e3 * self.noise.sigma_xy:.1f} mm and "
+            "noise": f"{1e3 * self.noise.sigma:.1f} mm{grows} of range, {1e3 * self.noise.sigma_xy:.1f} mm and "
             f"{math.degrees(self.noise.sigma_yaw):.3f}° of pose",
             "unexplained": f"{self.noise.stray:.2g} returns per metre of ray",
             **self.calibration.summary(),

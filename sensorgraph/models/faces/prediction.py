@@ -54,7 +54,7 @@ class LaserBeams(NamedTuple):
     faces: FaceSet
     buckets: BucketGrid
     noise: Floats
-    """(4,) variances [m², m², rad²] of range, position and heading, and density [1/m] of outliers."""
+    """(5,) `ReturnNoise.array`."""
     constant: Floats
     """(n_rays,) [m] ray terms; `slope` (n_rays,) and `incidence` likewise."""
     slope: Floats
@@ -90,6 +90,7 @@ def ray_mixture(i: Any, b: Any, beams: Any, work: Any, mixture: Any) -> Any:
     r, k, j, t = work
     rho, w, s, source = mixture
     is_moved, sigma = noise[1] > 0 or noise[2] > 0, math.sqrt(noise[0])  # there is noise of poses
+    varies = is_moved or noise[4] > 0
     ux, uy = direction(i, b, beams)
     n = crossed_faces(
         beams.x[i], beams.y[i], ux, uy, beams.range_max, MIN_SURVIVAL, beams.faces, beams.buckets, work
@@ -118,7 +119,7 @@ def ray_mixture(i: Any, b: Any, beams: Any, work: Any, mixture: Any) -> Any:
         if beams.is_biased:
             rho[c] += constant + slope * r[m] + incidence_bias(den, r[m], beams.incidence)
         s[c] = sigma
-        if is_moved:
+        if varies:
             s[c] = math.sqrt(variance(r[m], -normals[f, 1] * ux + normals[f, 0] * uy, den, noise))
         c += 1
         survival *= 1.0 - alpha

@@ -42,7 +42,7 @@ def without_redundant_faces(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> F
     """
     lines = visible_lines(faces)
     expectation = e_step(rays, faces, noise)
-    suspect, reach = _covered(lines, expectation.line_sums, noise)
+    suspect, reach = _covered(lines, expectation.line_sums, noise, noise.typical(rays))
     if not suspect.any():
         return faces
     hosts, suspects = np.flatnonzero(~suspect), np.flatnonzero(suspect)
@@ -75,7 +75,7 @@ def _settled(rays: Rays, faces: FaceSet, noise: ReturnNoise) -> FaceSet:
     return m_step(faces, e_step(rays, faces, noise), noise, refit=False)[0]
 
 
-def _covered(lines: Lines, sums: Floats, noise: ReturnNoise) -> tuple[Bools, Floats]:
+def _covered(lines: Lines, sums: Floats, noise: ReturnNoise, sigma: float) -> tuple[Bools, Floats]:
     """Return which lines have their hits within the noise of longer ones with more hits, and the spans grown over them.
 
     The hits of a line are taken as even over its length; both ends and the middle must be covered, each by any
@@ -84,7 +84,7 @@ def _covered(lines: Lines, sums: Floats, noise: ReturnNoise) -> tuple[Bools, Flo
     hits, weight = sums[:, 5], np.maximum(sums[:, 0], 1e-300)
     middle = sums[:, 1] / weight
     half = np.sqrt(3.0 * np.maximum(sums[:, 2] / weight - middle**2, 0.0))
-    near = FIT_SIGMAS * float(np.hypot(noise.sigma, noise.sigma_xy))
+    near = FIT_SIGMAS * float(np.hypot(sigma, noise.sigma_xy))
     tangents = np.stack([-lines.normals[:, 1], lines.normals[:, 0]], axis=1)
     length = 2 * half
     covered, spans = np.zeros(len(lines), dtype=np.bool_), lines.spans.copy()
@@ -118,7 +118,7 @@ def _losses(rays: Rays, lost: Floats, lines: Lines, noise: ReturnNoise) -> Float
     """
     tangents = np.stack([-lines.normals[:, 1], lines.normals[:, 0]], axis=1)
     middles = lines.normals * lines.offsets[:, None] + tangents * lines.spans.mean(axis=1)[:, None]
-    radii = np.diff(lines.spans, axis=1)[:, 0] / 2 + FIT_SIGMAS * noise.sigma
+    radii = np.diff(lines.spans, axis=1)[:, 0] / 2 + FIT_SIGMAS * noise.typical(rays)
     returned = np.flatnonzero(np.isfinite(rays.ranges))
     found = cKDTree(middles).query(rays.hits[returned], distance_upper_bound=float(radii.max()))
     far, nearest = np.asarray(found[0]), np.asarray(found[1])

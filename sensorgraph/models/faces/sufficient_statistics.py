@@ -44,7 +44,7 @@ class SufficientStatistics:
     reached: Floats
     """(n_edges,) crossings of the stretch after each edge."""
     noise_sums: Floats
-    """(3, 4) as `Expectation.noise_sums`."""
+    """(4, 5) as `Expectation.noise_sums`."""
     stray: Floats
     """(2,) number of outliers, which no face explains, and metres that all rays travelled."""
     unexplained_hits: HitMoments
@@ -136,11 +136,13 @@ class SufficientStatistics:
         found = {field: np.asarray(arrays[stored], dtype=np.float64) for stored, field in fields.items()}
         n_edges, n_near = len(faces.edges), len(found["t"])
         # older graphs store no errors: their crossings count as exact
+        if found["noise_sums"].shape == (3, 4):  # and no sums for noise that grows with the range
+            found["noise_sums"] = np.insert(np.pad(found["noise_sums"], ((0, 1), (0, 0))), 3, 0.0, axis=1)
         found["error"] = np.asarray(arrays.get("error", np.zeros(n_near)), dtype=np.float64)
         fields["error"] = "error"
         shapes = {stored: found[field].shape for stored, field in fields.items()}
         expected = {
-            "lines": (faces.n_faces, 8), "stops": (n_edges,), "looks": (n_edges,), "spread": (3, 4),
+            "lines": (faces.n_faces, 8), "stops": (n_edges,), "looks": (n_edges,), "spread": (4, 5),
             "stray": (2,), "t": (n_near,), "stop": (n_near,), "weight": (n_near,), "error": (n_near,),
         }  # fmt: skip
         if shapes != expected:

@@ -65,7 +65,8 @@ def update_faces(
     fresh = HitMoments.by_direction(rays.hits[unexplained], rays.directions[unexplained])
     stored = statistics.unexplained_hits.split_by_direction()
     sides = [a.merge(b) for a, b in zip(fresh, stored, strict=True)]
-    lines = select_small_lines(sides, sigma=noise.sigma, coarse=coarseness(noise.sigma))
+    sigma = noise.typical(rays)
+    lines = select_small_lines(sides, sigma=sigma, coarse=coarseness(sigma))
     old = _with_new_faces(statistics, lines, observed)
     n_old = faces.n_faces
     faces = joined_faces(faces, binned_faces(lines))

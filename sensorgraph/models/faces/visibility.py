@@ -106,7 +106,7 @@ class Rays:
 
 @dataclass(frozen=True, kw_only=True)
 class ReturnNoise:
-    """Variance of a return from a face: var = sigma² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)²."""
+    """Variance of a return from a face: var = sigma² + (growth r)² + (sigma_xy² + (r u·t sigma_yaw)²) / (n·u)²."""
 
     sigma: float
     """[m] Noise of the range."""
@@ -116,11 +116,22 @@ class ReturnNoise:
     """[rad] Noise of the heading."""
     stray: float = 1e-3
     """[1/m] Density of outliers: returns that no face explains."""
+    growth: float = 0.0
+    """[m/m] Noise of the range that grows with it, as that of lasers that triangulate."""
 
     @property
     def array(self) -> Floats:
-        """(4,) the three variances and the density of outliers, for kernels."""
-        return np.array([self.sigma**2, self.sigma_xy**2, self.sigma_yaw**2, self.stray])
+        """(5,) variances of range, position and heading, the density of outliers and the square of the growth, for kernels."""
+        return np.array([self.sigma**2, self.sigma_xy**2, self.sigma_yaw**2, self.stray, self.growth**2])
+
+    def at(self, ranges: Floats) -> Floats:
+        """Return the standard deviations [m] of ranges (n,) [m] from exact poses."""
+        return np.hypot(self.sigma, self.growth * ranges)
+
+    def typical(self, rays: Rays) -> float:
+        """Return the standard deviation [m] of the median range among rays."""
+        returned = rays.ranges[np.isfinite(rays.ranges)]
+        return float(self.at(np.median(returned, keepdims=True))[0]) if len(returned) else self.sigma
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +148,7 @@ class Expectation:
     The last column is the log likelihood [nats] lost without the face.
     """
     noise_sums: Floats
-    """(3, 4) normal equations of e² on 1, 1/(n·u)², (r u·t / n·u)²."""
+    """(4, 5) normal equations of e² on 1, 1/(n·u)², (r u·t / n·u)², r²."""
     unexplained: Floats
     """(n,) probability that the ray returned without a face stopping it."""
     nats: Floats
@@ -183,9 +194,9 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
     """Compute the expected stops, crossings and sums of every face (E step); rays count by their weights."""
     buckets = bucket_grid(faces) if buckets is None else buckets
     stops, reached = np.zeros(len(faces.edges)), np.zeros(len(faces.edges))
-    lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((3, 4))
+    lines, spread = np.zeros((faces.n_faces, 8)), np.zeros((4, 5))
     unexplained, nats, total = np.zeros(len(rays)), np.zeros(len(rays)), np.zeros(2)
-    work, passed = new_stop_work(), np.empty(len(faces.levels))
+    work, passed = new_stop_work(), (np.empty(len(faces.levels)), np.empty(5))
     sums = stops, reached, lines, spread, unexplained, nats, total
     _e_step(rays.arrays, faces, buckets, noise.array, work, passed, sums)
     return Expectation(
@@ -197,7 +208,11 @@ def e_step(rays: Rays, faces: FaceSet, noise: ReturnNoise, buckets: BucketGrid |
 @inner_kernel
 def variance(rho: Any, t_u: Any, den: Any, noise: Any) -> Any:
     """Return the variance [m²] of a return from a face at range rho, with t_u = t·u and den = n·u."""
-    return noise[0] + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, MIN_SQUARED_COSINE)
+    return (
+        noise[0]
+        + rho * rho * noise[4]
+        + (noise[1] + (rho * t_u) ** 2 * noise[2]) / max(den * den, MIN_SQUARED_COSINE)
+    )
 
 
 class StopWork(NamedTuple):
@@ -226,7 +241,7 @@ def stop_probabilities(i: Any, rays: Any, faces: Any, buckets: Any, noise: Any, 
     march, gamma, survive = work
     r, k, j, _ = march
     ux, uy, z = rays.directions[i, 0], rays.directions[i, 1], rays.ranges[i]
-    reach = rays.range_max if z > 1e300 else z + REACH_MARGIN + TAIL * np.sqrt(noise[0])
+    reach = rays.range_max if z > 1e300 else z + REACH_MARGIN + TAIL * np.sqrt(noise[0] + z * z * noise[4])
     n = crossed_faces(rays.origins[i, 0], rays.origins[i, 1], ux, uy, reach, 0.0, faces, buckets, march)
     survival, total, before = 1.0, 0.0, 1.0
     for m in range(n):
@@ -279,13 +294,14 @@ def hit_of(m: Any, i: Any, rays: Any, faces: Any, noise: Any, work: Any) -> Any:
 def _e_step(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any, passed: Any, sums: Any) -> Any:
     """Add up the `sums` of an `Expectation`: the first six fields, and log likelihood and distance (2,).
 
-    `work` and `passed` (n_edges,) are memory.
+    `work` and `passed`, arrays of n_edges and of 5 numbers, are memory.
     """
     first, levels = faces[2], faces[4]
     stops, reached, lines, spread, unexplained, nats, total = sums
     march, gamma, survive = work
     r, k, j, t = march
     range_max, weights = rays.range_max, rays.weights
+    passed, terms = passed
     for m in range(len(levels)):
         passed[m] = np.log(max(1.0 - levels[m], MIN_PASSED))
     for i in range(len(rays.ranges)):
@@ -324,14 +340,8 @@ def _e_step(rays: Any, faces: Any, buckets: Any, noise: Any, work: Any, passed: 
             line[6] += w * across * across
             if g > 0.5:
                 x1, x2 = 1.0 / (den * den), (r[m] * t_u / den) ** 2
+                terms[0], terms[1], terms[2], terms[3], terms[4] = 1.0, x1, x2, r[m] * r[m], e * e
                 v = count / (var * var)
-                spread[0, 0] += v
-                spread[0, 1] += v * x1
-                spread[0, 2] += v * x2
-                spread[1, 1] += v * x1 * x1
-                spread[1, 2] += v * x1 * x2
-                spread[2, 2] += v * x2 * x2
-                spread[0, 3] += v * e * e
-                spread[1, 3] += v * x1 * e * e
-                spread[2, 3] += v * x2 * e * e
-    spread[1, 0], spread[2, 0], spread[2, 1] = spread[0, 1], spread[0, 2], spread[1, 2]
+                for a in range(4):
+                    for b in range(5):
+                        spread[a, b] += v * terms[a] * terms[b]
