@@ -8,8 +8,9 @@ from planners_samples import door_arena
 
 import sensorgraph as sg
 from sensorgraph.cli.messages import with_flags
+from sensorgraph.planning.plan import laser_outside_footprint
 from sensorgraph.planning.survey import LaserSurvey, survey_of
-from sensorgraph.world.robot import default_robot
+from sensorgraph.world.robot import default_robot, load_robot, parse_robot
 
 POSES = np.array([[1.0, 1.5, 0.0], [1.0, 1.5, np.pi], [3.0, 1.5, 0.0]])
 
@@ -48,3 +49,16 @@ def test_a_graph_and_the_order_fast_contradict_each_other() -> None:
     assert with_flags(str(refused.value)).startswith(
         "--graph requires the order anytime; use --order anytime"
     )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{footprint_radius: 0.18, sensor: {mount: [0.2, 0.0, 0.0]}}",
+        "{footprint_radius: 0.18, sensors: [{ring: 4, radius: 0.2, cone: 0.2}]}",
+    ],
+)
+def test_a_sensor_outside_the_footprint_is_warned_of(text: str) -> None:
+    (line,) = laser_outside_footprint(parse_robot(f"{{name: rover, {text[1:]}", name="robot.yaml"))
+    assert "0.20 m from the centre" in line and "footprint_radius of 0.18 m" in line
+    assert laser_outside_footprint(load_robot()) == []

@@ -15,6 +15,7 @@ import logs
 import planners
 from logs.html_table import html_table
 from logs.run import Run
+from logs.transforms import compose
 from planners.arena import Arena
 from planners.coverage import CELL, HEADINGS
 from planners.errors import PlanError
@@ -171,7 +172,7 @@ def plan(
         order=order, survey=_survey(order, world, machine, graph, visited), join_planner=join_planner, progress=progress,
         status=status,
     )  # fmt: skip
-    _add_notes(drive.report, arena, world, [known for known in (priority, graph) if known is not None], no_go)
+    _add_notes(drive.report, machine, arena, world, (priority, graph), no_go)
     return CoveragePlan(drive=drive, arena=world, robot=machine)
 
 
@@ -181,17 +182,37 @@ def _default_order(planner: str, machine: Robot, *, is_cut: bool, has_other_orde
     return "anytime" if can and is_cut else "fast"
 
 
+def laser_outside_footprint(robot: Robot) -> list[str]:
+    """Return a warning if a sensor of the robot lies outside its footprint; otherwise nothing."""
+    sensor = robot.sensor
+    starts = (
+        np.column_stack([sensor.origins, np.zeros(sensor.n_rays)])
+        if sensor.is_composite
+        else np.zeros((1, 3))
+    )
+    x, y, _ = compose(sensor.mount, starts).T
+    far = float(np.hypot(x, y).max())
+    if far <= robot.footprint_radius:
+        return []
+    return [
+        f"a sensor is {far:.2f} m from the centre of the robot, outside its footprint_radius of "
+        f"{robot.footprint_radius:.2f} m; it may touch or pass walls. Increase footprint_radius"
+    ]
+
+
 def _add_notes(
     report: dict[str, Any],
+    robot: Robot,
     arena: Arena | Path | str,
     world: Arena,
-    graphs: Sequence[Sensorgraph],
+    graphs: Sequence[Sensorgraph | None],
     no_go: Sequence[Zone],
 ) -> None:
-    """Add to plan.json what the planner does not know: name of the arena, warnings about graphs, and zones."""
+    """Add to plan.json what the planner does not know: name of the arena, warnings about sensors and graphs, and zones."""
+    report["warnings"] += laser_outside_footprint(robot)
     if not isinstance(arena, Arena):
         report["arena"] = Path(arena).name
-    for known in graphs:
+    for known in filter(None, graphs):
         report["warnings"] += other_place_warnings(known, world)
     if no_go:
         report["no_go"] = [[list(corner) for corner in zone.exterior.coords[:-1]] for zone in no_go]
