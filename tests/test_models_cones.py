@@ -180,6 +180,18 @@ def test_a_graph_of_cones_is_kept_and_is_not_updated(
         sg.build(run, calibrate=True)
 
 
+def test_a_distant_alternative_does_not_widen_the_distribution_of_a_cone(
+    graph: sg.Sensorgraph, room: Arena
+) -> None:
+    rng, poses = np.random.default_rng(9), free_poses(room, 400, np.random.default_rng(10))
+    exact = truth(room, graph.sensor, poses)
+    measured, said = exact + SIGMA * rng.normal(size=exact.shape), graph.predict(poses)
+    known = np.isfinite(exact) & said.answered
+    below = said.cdf(np.where(known, measured, 0.0))[known]
+    assert (np.abs(below - 0.5) < 0.25).mean() == pytest.approx(0.5, abs=0.03)
+    assert (np.abs(below - 0.5) < 0.45).mean() == pytest.approx(0.9, abs=0.02)
+
+
 def test_a_polynomial_says_that_it_is_of_the_nearest_surface(room: Arena) -> None:
     run = run_of(room, ring(), 300, 7)
     graph = sg.build(run, model="polynomial", degree=2, harmonics=2, n_terms=12)

@@ -223,3 +223,31 @@ def predict_cones(
             supported[i, b] = r[BACK_SLOT] > reach and is_cone_observed(
                 x[i], y[i], ux, uy, halves[b], reach, origin, cell, clearance
             )
+
+
+@kernel
+def list_cones(
+    x: Any, y: Any, cos: Any, sin: Any, cos_b: Any, sin_b: Any, halves: Any, range_max: Any, stretches: Any,
+    levels: Any, r: Any, w: Any, passed: Any,
+) -> Any:  # fmt: skip
+    """Fill the mixtures of all cones; return the largest number of candidates.
+
+    Parameters
+    ----------
+    r, w : (n_poses, n_rays, `BACK_SLOT` + 1) Range [m] and weight of each stretch in a cone; other weights are 0.
+    passed : (n_poses, n_rays) Probability that no stretch stops the cone.
+    """
+    most = 0
+    for i in range(len(x)):
+        for b in range(len(cos_b)):
+            ux, uy = cos[i] * cos_b[b] - sin[i] * sin_b[b], sin[i] * cos_b[b] + cos[i] * sin_b[b]
+            far, share = r[i, b], w[i, b]
+            n = stretches_in_cone(x[i], y[i], ux, uy, halves[b], range_max, stretches, levels, far, share)
+            left = 1.0
+            for m in range(n):
+                share[m], left = left * share[m], left * (1.0 - share[m])
+            for m in range(n, len(share)):
+                far[m], share[m] = np.inf, 0.0
+            passed[i, b] = left
+            most = max(most, n)
+    return most

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from sensorgraph.models.cones.kernels import predict_cones
+from sensorgraph.models.cones.kernels import BACK_SLOT, list_cones, predict_cones
+from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.faces.data import FacesData
 from sensorgraph.models.faces.equations import sum_text
 from sensorgraph.models.faces.ray_march import MIN_VISIBILITY, FaceSet
@@ -46,6 +47,25 @@ def cone_table(
         model.observed.distance_to_unobserved, which, table, supported,
     )  # fmt: skip
     return table, supported
+
+
+def cone_mixtures(model: FacesData, lasers: tuple[Floats, Floats, Floats, Floats], rays: Ints) -> Mixture:
+    """Return the mixtures of cones (n_rays,) from `lasers`, as `cone_table` takes them."""
+    shape = (len(lasers[0]), len(rays), BACK_SLOT + 1)
+    means, weights, passed = np.empty(shape), np.empty(shape), np.empty(shape[:2])
+    bearings = model.sensor.bearings[rays]
+    most = list_cones(
+        *lasers, np.cos(bearings), np.sin(bearings), 0.5 * model.sensor.cones[rays], model.sensor.range_max,
+        *visible_stretches(model.faces), means, weights, passed,
+    )  # fmt: skip
+    means = means[..., : max(most, 1)]
+    return Mixture(
+        means=means,
+        weights=weights[..., : max(most, 1)],
+        widths=np.full(means.shape, model.noise.sigma),
+        sources=np.full(means.shape, -1),
+        p_no_return=passed,
+    )
 
 
 def cone_equations(model: FacesData, start: Floats, ray: int) -> list[str]:

@@ -28,9 +28,9 @@ from sensorgraph.models.calibration.calibrate import calibrate_faces, observed_b
 from sensorgraph.models.calibration.laser_calibration import Calibration
 from sensorgraph.models.cells.model import CellModel
 from sensorgraph.models.cones.fit import fit_cones, readings_of_cones
-from sensorgraph.models.cones.prediction import cone_equations, cone_table
+from sensorgraph.models.cones.prediction import cone_equations, cone_mixtures, cone_table
 from sensorgraph.models.cones.settings import measures_cones
-from sensorgraph.models.distribution import Mixture, single_mixture
+from sensorgraph.models.distribution import Mixture
 from sensorgraph.models.faces.data import FacesData, restored_fields, stored
 from sensorgraph.models.faces.equations import SHOWN_GROWTH, face_equations
 from sensorgraph.models.faces.fit import fit_faces
@@ -200,8 +200,7 @@ class Faces(FacesData):
         if self.cells is not None:
             return self.cells.mixture(poses, rays)
         if measures_cones(self.sensor):
-            found = self.predict(poses, rays, "mode")
-            return single_mixture(found.mode, found.sigma, found.p_no_return)
+            return cone_mixtures(self, lasers(poses, self.mount), rays)
         return thin_mixtures(self, self.buckets, poses, rays)
 
     def log_likelihood(self, ranges: Floats, poses: Floats, rays: Ints) -> tuple[Floats, Bools]:
