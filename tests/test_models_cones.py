@@ -192,6 +192,13 @@ def test_a_distant_alternative_does_not_widen_the_distribution_of_a_cone(
     assert (np.abs(below - 0.5) < 0.45).mean() == pytest.approx(0.9, abs=0.02)
 
 
+def test_a_drawn_reading_is_of_the_nearest_surface_in_the_cone(graph: sg.Sensorgraph, room: Arena) -> None:
+    poses = free_poses(room, 200, np.random.default_rng(11))
+    exact, drawn = truth(room, graph.sensor, poses), graph.sample(poses, seed=3)[0]
+    known = np.isfinite(exact) & graph.predict(poses).answered
+    assert (np.abs(drawn - exact)[known] > 0.05).mean() < 0.02  # more than half if a cone is a thin ray
+
+
 def test_a_polynomial_says_that_it_is_of_the_nearest_surface(room: Arena) -> None:
     run = run_of(room, ring(), 300, 7)
     graph = sg.build(run, model="polynomial", degree=2, harmonics=2, n_terms=12)

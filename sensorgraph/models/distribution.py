@@ -78,6 +78,16 @@ class Mixture:
 
         return self._given_return(ndtr(self._standardised(z)))
 
+    def draw(self, uniform: Floats, normal: Floats) -> Floats:
+        """Return one reading [m] (n_poses, n_rays) from random numbers (n_poses, n_rays); +inf: no return.
+
+        It is from the first surface m for which uniform >= 1 - sum_{i<=m} w_i: r_m + s_m normal.
+        """
+        stops = uniform[..., None] >= 1.0 - np.cumsum(self.weights, axis=-1)
+        first = stops.argmax(axis=-1)[..., None]
+        mean, width = (np.take_along_axis(a, first, axis=-1)[..., 0] for a in (self.means, self.widths))
+        return np.where(stops.any(axis=-1), mean + width * normal, np.inf)
+
     def quantile(self, q: ArrayLike) -> Floats:
         """Return the range [m] (n_poses, n_rays) below which a return lies with probability q; q is broadcast.
 

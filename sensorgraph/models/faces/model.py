@@ -221,6 +221,8 @@ class Faces(FacesData):
         """
         if self.cells is not None:
             return self.cells.draw(poses, uniform, normal, rays)
+        if measures_cones(self.sensor):
+            return self.mixture(poses, np.arange(self.sensor.n_rays)[rays]).draw(uniform, normal)
         return draw_thin_rays(self, self.buckets, poses, uniform, normal, rays)
 
     def equation(self, ray: int, *, every: bool = True) -> str:
