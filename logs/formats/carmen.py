@@ -105,13 +105,7 @@ def read(path: Path, how: ReadOptions) -> Run:
             "format": "carmen",
             "scan_topic": kind,
             "pose_source": source,
-            **(
-                {"clock": "assumed"}
-                if clock.is_assumed
-                else {"clock": "order of the lines"}
-                if clock.lines is not None
-                else {}
-            ),
+            **({"clock": clock.replaced_by} if clock.replaced_by else {}),
             **({"notes": "; ".join(notes + found.notes)} if notes or found.notes else {}),
         },
     )

@@ -37,6 +37,13 @@ class CarmenClock:
     lines: Floats | None
     """(n_scans,) line numbers of the scans, if the times of other lines follow from these; None: from their stamps."""
 
+    @property
+    def replaced_by(self) -> str:
+        """What the times are of, if the stamps do not run; otherwise empty."""
+        if self.is_assumed:
+            return "assumed"
+        return "" if self.lines is None else "order of the lines"
+
     def others(self, lines: Floats, stamps: Floats) -> Floats:
         """Return the times (n,) [s] of other lines from their line numbers or their stamps [s]."""
         if self.lines is None or len(self.lines) < 2:

@@ -48,7 +48,7 @@ POSE_NOISE = np.array([0.005, 0.005, 0.008])
 """[m, m, rad] Standard deviations of a tracked pose, from errors of the map that neighbouring poses do not share. They have the
 greatest likelihood on the second half of the fr079 log."""
 UNKNOWN_FLOOR = Baseline(tolerance=0.01)
-"""[m/m] Drift with a floor of which nothing is known: 2 mm/m on fr079, 6 on ACES and 16 on Intel (`diagnose`)."""
+"""[m/m] Drift with a floor of which nothing is known: 1 mm/m on fr079, 4 and 11 on aces, 15 and 16 on intel."""
 OUTLIER = 30.0
 """Squared normalised innovation above which a step was no motion of this model (slip, a push, another place)."""
 
