@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import shapely
 import yaml
-from conftest import polygon_arena
 from planners_samples import door_arena, outlined, shipped
 
 from planners import PLANNERS, Plan, PlanError, plan
@@ -330,17 +329,6 @@ def test_other_grids_and_robots_are_filled_too(cell: float, headings: int, limit
     made = plan(door_arena(0.9), vehicle, cell=cell, headings=headings)
     assert made.report["coverage"] >= 0.999
     assert made.report["limit_violations"] == 0
-
-
-def test_without_a_margin_the_robot_touches_no_wall() -> None:
-    """Distances between nodes are interpolated, which makes the distance to a corner up to 0.5 mm too large."""
-    pillar = [(1.2, 1.0), (1.8, 1.2), (1.4, 1.6)]
-    room = polygon_arena([(0.0, 0.0), (3.0, 0.0), (3.0, 2.5), (0.0, 2.5)], pillar)
-    car = Vehicle(drive="dubins", footprint_radius=0.15, limits=Limits(turning_radius=0.3))
-    made = plan(room, car, margin=0.0, cell=0.25, headings=8)
-    assert made.report["violations"]["clearance"] == 0
-    assert made.report["min_clearance_m"] >= car.footprint_radius
-    assert made.report["margin_m"] == 0.002
 
 
 @pytest.mark.usefixtures("narrow_search_once")

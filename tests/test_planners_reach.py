@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
+from conftest import polygon_arena
 from planners_samples import door_arena, random_arena, shipped
 
+from planners import plan
 from planners.arena import Arena
 from planners.clearance import Barriers
 from planners.errors import PlanError
 from planners.maps import geojson
 from planners.reach import DISTANCE_CAP, reach
+from planners.vehicle import Limits, Vehicle
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -128,3 +131,14 @@ def test_nodes_on_the_edges_of_pixels_are_outside() -> None:
     x, y = np.arange(-1.0, 14.0, 0.5), np.arange(-1.0, 11.0, 0.5)
     nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     assert (arena.contains_grid(x, y) == arena.contains(nodes)).all()
+
+
+def test_without_a_margin_the_robot_touches_no_wall() -> None:
+    """Distances between nodes are interpolated, which makes the distance to a corner up to 0.5 mm too large."""
+    pillar = [(1.2, 1.0), (1.8, 1.2), (1.4, 1.6)]
+    room = polygon_arena([(0.0, 0.0), (3.0, 0.0), (3.0, 2.5), (0.0, 2.5)], pillar)
+    car = Vehicle(drive="dubins", footprint_radius=0.15, limits=Limits(turning_radius=0.3))
+    made = plan(room, car, margin=0.0, cell=0.25, headings=8)
+    assert made.report["violations"]["clearance"] == 0
+    assert made.report["min_clearance_m"] >= car.footprint_radius
+    assert made.report["margin_m"] == 0.002
