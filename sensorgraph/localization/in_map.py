@@ -82,6 +82,8 @@ def locate_in_map(
         matches = rematch(scans, start, place, tick)
     poses, covariances = _smoothed(poses, steps, found.breaks, matches.poses, matches.information)
     covariances = covariances + _map_error(matches, steps.noise, *_displacements(scans, matches, straight))
+    matched = np.asarray(matches.information.any(axis=(1, 2)))
+    poses, covariances = followed.between_middles(poses, covariances, matched, ~found.breaks)
     status = _status(run.stamps, matches.information, found, is_rivalled)
     notes = () if odometry is not None else ("no usable odometry: located by scan matching alone",)
     if 2 * sum(word == "ok" for word in status) < run.n_scans:

@@ -105,7 +105,8 @@ def map_run(run: Run, *, seed: int = 0, progress: ProgressBars = no_progress) ->
     covariances = placed.shared + np.where(matched[:, None, None], placed.own, smoothed.covariances)
     covariances = covariances + verdict.doubt[:, :, None] ** 2 * np.eye(3)
     origin = np.zeros(3) if odometry is None else odometry[0]
-    poses, covariances = _moved_to(smoothed.poses, covariances, origin)
+    poses, covariances = followed.between_middles(smoothed.poses, covariances, matched, tracked.is_continuous)
+    poses, covariances = _moved_to(poses, covariances, origin)
     seen = _turned(refined.system.rows.projections, np.asarray(poses[0, 2] - smoothed.poses[0, 2]))
     if not has_odometry:
         covariances = with_unknown_motion(covariances, run.stamps, tracked, seen)

@@ -84,7 +84,8 @@ def with_motion_of_scans(followed: TrackedRun, progress: ProgressBars = no_progr
     chosen &= ~verdict.is_false & ~verdict.doubt.any(axis=1)
     motion = motion_of_track(run, tracked, without_jumps(measured))
     scans = followed.scans.with_scans_of(scan_points(run, motion), chosen)
-    return replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress))
+    middles = None if followed.middles is None else followed.middles.without(chosen)
+    return replace(followed, scans=scans, track=track(scans, run.stamps, odometry, progress), middles=middles)
 
 
 def without_moving_returns(followed: TrackedRun, progress: ProgressBars = no_progress) -> TrackedRun:

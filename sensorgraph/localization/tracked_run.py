@@ -23,6 +23,7 @@ from sensorgraph.localization.ray_times import identify_ray_times, small_sample
 from sensorgraph.localization.scan_lag import LATENCY, MIN_LAG, N_STEPS, ScanLag, scan_lag, with_stamp_of
 from sensorgraph.localization.scan_track import ScanTrack
 from sensorgraph.localization.scans import ScanPoints, scan_points
+from sensorgraph.localization.sweep_middles import SweepMiddles
 from sensorgraph.localization.turning_pieces import (
     MIN_GAIN,
     MIN_PIECES,
@@ -30,7 +31,7 @@ from sensorgraph.localization.turning_pieces import (
     LinearisedPieces,
     TurningPieces,
 )
-from sensorgraph.types import Floats, ProgressBars, no_progress
+from sensorgraph.types import Bools, Floats, ProgressBars, no_progress
 
 ROUNDS = 3
 """Maximum number of times that ray times and bearings are estimated in turn."""
@@ -50,6 +51,22 @@ class TrackedRun:
     """Notes about the ray times."""
     offset: OffsetOfRanges = field(default_factory=OffsetOfRanges)
     """Of the ranges of the log; those of `run` are corrected."""
+    middles: SweepMiddles | None = None
+    """Of the sweeps that the odometry deskewed; None: without odometry, or of a laser without a sweep."""
+
+    def between_middles(
+        self, poses: Floats, covariances: Floats, matched: Bools, is_continuous: Bools
+    ) -> tuple[Floats, Floats]:
+        """Return poses (n_scans, 3) and covariances (n_scans, 3, 3) between the middles of two sweeps (`sweep_middles`).
+
+        Parameters
+        ----------
+        matched, is_continuous : (n_scans,) The scan fits the map, and continues the one before.
+        """
+        if self.middles is None:
+            return poses, covariances
+        follows = matched & np.append(False, matched[:-1]) & is_continuous
+        return self.middles.placed(poses, covariances, follows)
 
 
 def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
@@ -104,7 +121,10 @@ def track_run(run: Run, progress: ProgressBars = no_progress) -> TrackedRun:
             )
             more = with_stamp_of(run, lag)[1]
         notes = (*notes, *more)
-    return TrackedRun(run=run, odometry=odometry, scans=scans, track=tracked, notes=notes, offset=offset)
+    middles = None if odometry_motion is None else SweepMiddles.of(run, odometry_motion)
+    return TrackedRun(
+        run=run, odometry=odometry, scans=scans, track=tracked, notes=notes, offset=offset, middles=middles
+    )
 
 
 def _corrected(
