@@ -94,6 +94,25 @@ def test_a_covered_sector_is_named_and_the_pose_stays_ok() -> None:
     assert {status.pose.status for status in said} == {"ok"}
 
 
+def test_a_thing_that_is_gone_before_open_space_blocks_no_sector() -> None:
+    """The box in the middle of the loop was taken away, and behind it nothing is within reach."""
+    run = laps(2, seed=14)
+    without = seen(run.poses, run.sensor.bearings, ROOM[:-4])
+    ranges = np.where(without > run.ranges + 0.2, np.inf, run.ranges)
+    assert np.isposinf(ranges).mean() > 0.1
+    said = list(sg.watch(graph(), replace(run, ranges=ranges)))
+    assert not any(names(status) for status in said)
+
+
+def test_a_sector_that_returns_nothing_any_more_is_named() -> None:
+    run = laps(2, seed=14)
+    ranges = run.ranges.copy()
+    ranges[120:, 50:55] = np.inf  # from 24 s
+    first = next(status for status in sg.watch(graph(), replace(run, ranges=ranges)) if names(status))
+    assert names(first) == {"blocked_sector"}
+    assert 24.0 <= first.t < 29.0
+
+
 def laps_and_turns() -> np.ndarray:
     """Return poses (n, 3) of laps, a turn on the spot, and laps: on a circle alone, wheels, mount and clock look alike."""
     spin = np.column_stack([np.zeros((60, 2)), np.linspace(0.1, 2 * np.pi, 60)])

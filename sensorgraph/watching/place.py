@@ -57,6 +57,9 @@ class Place:
         self.shape = nx, ny
         self.new = ThingCells(self.shape, priors)
         self.gone = ThingCells(self.shape, priors)
+        self._seen = np.full(
+            nx * ny, -np.inf
+        )  # [s] when a reading last ended at a surface in the cell, or next to it
         self._crossed = np.zeros(np.ceil((high - low) / SIDE).astype(int), dtype=np.bool_)
         bearings = wrap(readings.sensor.bearings[readings.rays])
         self._order = np.argsort(bearings)
@@ -103,10 +106,26 @@ class Place:
         is_gone[is_gone] = distance_to_outline(surfaces[is_gone], ends, returned) > s.cell
         cells, which = self._cells(surfaces, is_gone)
         agreeing, agrees = self._cells(surfaces, is_sure & (np.abs(z - d) < s.least_difference))
+        self._seen[self.gone.around(agreeing)] = stamp
         is_asked = np.isin(agreeing, cells) | self.gone.is_doubtful(agreeing)
         of_gone = weight * (of_gone - ratios)
         nats = np.concatenate([of_gone[which], np.minimum(of_gone[agrees][is_asked], 0.0)])
         self.gone.add(np.concatenate([cells, agreeing[is_asked]]), nats, stamp)
+
+    def stands(self, stamp: float, pose: Floats, expected: Prediction) -> Bools:
+        """Return of which rays (n_rays,) from a pose (3,) the predicted surface was seen lately: it is still there.
+
+        Lately is within the mean time of a change for a while.
+        """
+        laser = np.asarray(compose(pose, self.readings.sensor.mount))
+        phi = laser[2] + self.readings.sensor.bearings[self.readings.rays]
+        d = np.where(expected.answered[0], expected.mode[0], np.inf)
+        is_surface = np.isfinite(d)
+        way = np.where(is_surface, d, 0.0)[:, None] * np.column_stack([np.cos(phi), np.sin(phi)])
+        cells, which = self._cells(laser[:2] + way, is_surface)
+        found = np.zeros(len(phi), dtype=np.bool_)
+        found[which] = stamp - self._seen[cells] < self.priors.stay
+        return found
 
     def changes(self) -> list[PlaceChange]:
         """Return what came and what is gone, the most certain first."""

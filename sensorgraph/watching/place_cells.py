@@ -88,11 +88,15 @@ class ThingCells:
         """Add evidence (n,) of one scan to cells (n,), none of which is at the border."""
         self.cells.add(cells, nats, stamp)
         shows = nats > 0
-        around = (cells[shows, None] + self._around).ravel()
+        around = self.around(cells[shows])
         spread = np.repeat(nats[shows], len(self._around))
         self.things.add(
             np.concatenate([around, cells[~shows]]), np.concatenate([spread, nats[~shows]]), stamp
         )
+
+    def around(self, cells: Ints) -> Ints:
+        """Return the numbers (9 n,) of cells (n,), none of which is at the border, and of those next to them."""
+        return np.asarray((cells[:, None] + self._around).ravel())
 
     def is_doubtful(self, cells: Ints) -> Bools:
         """Tell in which of some cells a change is more probable than without readings."""

@@ -75,16 +75,19 @@ class RobotHealth:
         for one in self.motion.both:
             one.forget_pose()
 
-    def update(self, now: ScanInput, pose: Floats, prediction: Prediction) -> None:
-        """Take a scan whose tracked pose (3,) is sure, with the prediction of the compared rays there."""
+    def update(self, now: ScanInput, pose: Floats, prediction: Prediction, stands: Bools) -> None:
+        """Take a scan whose tracked pose (3,) is sure, with the prediction of the compared rays there.
+
+        Parameters
+        ----------
+        stands : (n_rays,) The predicted surface was seen lately.
+        """
         stamp, odometry = now.observation.stamp, now.observation.odometry
         dt = 0.0 if self._last is None else stamp - self._last[0]
         ranges = now.observation.ranges
         for one in self.ranges.both:
             one.add(self.readings, now.scan, prediction, ranges, now.weight)
-        self._add_coverage(
-            ranges, prediction.mode[0], prediction.p_no_return[0], prediction.answered[0], now.weight, dt
-        )
+        self._add_coverage(ranges, prediction, stands, now.weight, dt)
         is_moving = False
         if (
             self._last is not None and not 0.0 < dt < LONGEST_STEP
@@ -115,19 +118,20 @@ class RobotHealth:
         self._waiting = step, dt, pose, weight
 
     def _add_coverage(
-        self, ranges: Floats, mode: Floats, p_none: Floats, answered: Bools, weight: float, dt: float
+        self, ranges: Floats, prediction: Prediction, stands: Bools, weight: float, dt: float
     ) -> None:
         """Count readings that are missing or too close where the graph predicts a surface within the laser's limits.
 
-        A graph may have been built with a laser that reaches farther, or nearer.
+        A graph may have been built with a laser that reaches farther, or nearer. Where a surface was not seen lately, it may be
+        gone, and the space behind it may be larger than the laser's reach: a reading that is missing there shows no blocked sector.
         """
         z, sensor = ranges[self.readings.rays], self.readings.sensor
-        near = self.priors.near
+        near, mode, p_none = self.priors.near, prediction.mode[0], prediction.p_no_return[0]
         low, high = max(2 * near, sensor.range_min + near), sensor.range_max - near
-        asked = answered & (mode > low) & (mode < high) & ~np.isnan(z)
+        asked = prediction.answered[0] & (mode > low) & (mode < high) & ~np.isnan(z)
         is_none = np.isposinf(z) | (z >= sensor.range_max)
         is_covered = is_none | (z < near)
-        self.sectors.add(is_covered, p_none, asked, weight, dt)
+        self.sectors.add(is_covered, p_none, asked & (stands | ~is_none), weight, dt)
         counted = asked & self.usable & ~in_a_block(is_none & asked, asked)
         if counted.sum() >= 20:
             excess = float((is_none - p_none)[counted].mean())

@@ -157,7 +157,9 @@ class Watcher:
         expected = self.readings.predict(main.pose)
         found = self.readings.evidence(now.observation.ranges, main.pose[None], expected=expected)
         self.place.update(now, main, expected, found, self.tracker.usable)
-        self.robot.update(now, main.pose, expected)
+        self.robot.update(
+            now, main.pose, expected, self.place.stands(now.observation.stamp, main.pose, expected)
+        )
         self.tracker.usable = self.robot.usable
 
     def _status(self, observation: Observation) -> WatchStatus:
