@@ -23,7 +23,13 @@ from sensorgraph.errors import SensorgraphError, suggestion
 from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Floats
 from sensorgraph.watching.evidence import Baseline
-from sensorgraph.watching.settings import DISTANCE_FAULTS, LASER_FAULTS, MISSING_FAULT, FaultPrior
+from sensorgraph.watching.settings import (
+    BELIEF_FAULT,
+    DISTANCE_FAULTS,
+    LASER_FAULTS,
+    MISSING_FAULT,
+    FaultPrior,
+)
 from sensorgraph.watching.status import WatchStatus
 
 Level = Literal["ok", "warning", "error"]
@@ -35,7 +41,7 @@ LEAST_TAIL = 0.25
 """[nats] Least mean excess of a tail: a few minutes do not show a thinner one."""
 SHARE_OF_MINUTE = 0.5
 """Share of new evidence in the estimate of a minute, which is of the last one to two periods (`evidence.Pair`)."""
-FAULTS = {fault.name: fault for fault in (*DISTANCE_FAULTS, *LASER_FAULTS, MISSING_FAULT)}
+FAULTS = {fault.name: fault for fault in (*DISTANCE_FAULTS, *LASER_FAULTS, BELIEF_FAULT, MISSING_FAULT)}
 
 
 @dataclass(frozen=True, kw_only=True)

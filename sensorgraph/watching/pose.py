@@ -116,8 +116,11 @@ class PoseJudge:
         """[nats] Log-odds that the believed pose is off."""
         self.before: PoseWord = "ok"
 
-    def state(self, observation: Observation) -> PoseStatement:
-        """Return the statement at a scan."""
+    def state(self, observation: Observation, age: float = 0.0) -> PoseStatement:
+        """Return the statement at a scan, whose believed pose has an age [s] and is moved on to its stamp."""
+        if observation.believed is not None and age:
+            moved = compose(observation.believed, age * self.tracker.velocity)
+            observation = replace(observation, believed=moved)
         found = state_pose(self.tracker, observation, self)
         self.before = found.status
         return found

@@ -12,15 +12,19 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from logs.transforms import compose, difference, invert
+from sensorgraph.effects.latency import LATENCY
 from sensorgraph.effects.wheel_slip import WHEEL_SLIP
 from sensorgraph.models.base import Prediction
+from sensorgraph.robust import MAJORITY
 from sensorgraph.types import Bools, Floats
+from sensorgraph.watching.belief_lag import BeliefLag
 from sensorgraph.watching.evidence import Baseline, FaultDoubt, Pair, doubt_of
 from sensorgraph.watching.laser_errors import BlockedSectors, MissingReturns, RangeErrors, in_a_block
 from sensorgraph.watching.odometry_errors import OdometryErrors
 from sensorgraph.watching.readings import GraphReadings
 from sensorgraph.watching.scan_input import ScanInput
 from sensorgraph.watching.settings import (
+    BELIEF_FAULT,
     DISTANCE_FAULTS,
     FAULTS_PER_HOUR,
     LASER_FAULTS,
@@ -54,6 +58,7 @@ class RobotHealth:
         self.readings, self.priors = readings, priors
         self.baseline = dict(baseline or {})
         self.motion = Pair(OdometryErrors, priors.period)
+        self.belief = Pair(BeliefLag, priors.period)
         self.ranges = Pair(RangeErrors, priors.period)
         self.missing = Pair(MissingReturns, priors.period)
         self.sectors = BlockedSectors(readings, priors)
@@ -72,8 +77,10 @@ class RobotHealth:
     def lose(self) -> None:
         """The pose is not sure: the next motion is not compared."""
         self._last = self._waiting = None
-        for one in self.motion.both:
-            one.forget_pose()
+        for motion in self.motion.both:
+            motion.forget_pose()
+        for belief in self.belief.both:
+            belief.forget_pose()
 
     def update(self, now: ScanInput, pose: Floats, prediction: Prediction, stands: Bools) -> None:
         """Take a scan whose tracked pose (3,) is sure, with the prediction of the compared rays there.
@@ -93,6 +100,8 @@ class RobotHealth:
             self._last is not None and not 0.0 < dt < LONGEST_STEP
         ):  # the way meanwhile is no step: begin again
             self.lose()
+        for lag in self.belief.both:
+            lag.add(stamp, pose, now.observation.believed)
         if odometry is not None and self._last is not None:
             step = compose(invert(self._last[1]), odometry)
             is_moving = float(np.hypot(step[0], step[1]) + abs(step[2])) > 0.01
@@ -102,7 +111,7 @@ class RobotHealth:
         if odometry is not None:
             self._last = stamp, odometry, pose
         if is_moving:
-            for pair in (self.motion, self.ranges, self.missing):
+            for pair in (self.motion, self.belief, self.ranges, self.missing):
                 pair.advance(dt)
 
     def _add_motion(self, step: Floats, dt: float, pose: Floats, weight: float) -> None:
@@ -138,11 +147,31 @@ class RobotHealth:
             for one in self.missing.both:
                 one.add(excess, weight)
 
+    @property
+    def belief_age(self) -> float:
+        """[s] Age of the believed pose relative to the tracked one: the usual one, and what is named."""
+        doubt, clock = self._of_belief()
+        named = doubt.parameters[BELIEF_FAULT.parameter] if doubt.p > MAJORITY else 0.0
+        return self.baseline.get(BELIEF_FAULT.name, Baseline()).value + named + clock
+
+    def _of_belief(self) -> tuple[FaultDoubt, float]:
+        """Return the doubt about the age of the believed pose, and the time [s] of its clock after that of the scans.
+
+        The tracked pose has the stamp of the scan. If this is wrong, a belief is right that agrees with the clock of the odometry
+        or, since the odometry may be late, with that of the scans.
+        """
+        scans = next(doubt for doubt in self._of(DISTANCE_FAULTS, self.motion) if doubt.name == LATENCY.name)
+        clock = self.baseline.get(LATENCY.name, Baseline()).value
+        clock += scans.parameters["s"] if scans.p > MAJORITY else 0.0
+        found = [(self._of((BELIEF_FAULT,), self.belief, -one)[0], one) for one in (0.0, clock)]
+        return min(found, key=lambda each: each[0].nats)
+
     def doubts(self, stamp: float) -> list[FaultDoubt]:
         """Return all hypotheses, the most probable first."""
         missing = self._of((MISSING_FAULT,), self.missing)
         found = [
             *self._of(DISTANCE_FAULTS, self.motion),
+            self._of_belief()[0],
             *self._of(LASER_FAULTS, self.ranges),
             *(doubt if doubt.parameters["share"] > 0 else replace(doubt, p=0.0) for doubt in missing),
             *self._of_sectors(),
@@ -157,13 +186,13 @@ class RobotHealth:
             out.append(replace(doubt, since=self._since.get(doubt.name, stamp)))
         return sorted(out, key=lambda doubt: -doubt.p)
 
-    def _of(self, faults: Sequence[FaultPrior], pair: Pair[Any]) -> list[FaultDoubt]:
-        """Return the doubt about each fault, from the collection that makes it more probable."""
+    def _of(self, faults: Sequence[FaultPrior], pair: Pair[Any], shift: float = 0.0) -> list[FaultDoubt]:
+        """Return the doubt about each fault, from the collection that makes it more probable, with values moved by a shift."""
         found = [
             [
                 doubt_of(
                     fault,
-                    float(value),
+                    float(value) + shift,
                     float(error),
                     self.log_odds,
                     self.baseline.get(fault.name),

@@ -153,6 +153,7 @@ LASER_FAULTS = (
     FaultPrior(name=RANGE_BIAS.name, parameter="m", size=0.05, tolerance=0.005),
     FaultPrior(name=RANGE_SCALE.name, parameter="scale", size=0.03, tolerance=0.003),
 )
+BELIEF_FAULT = FaultPrior(name="pose_latency", parameter="s", size=0.3, tolerance=TrackingPriors.stamp)
 MISSING_FAULT = FaultPrior(name="missing_returns", parameter="share", size=0.1, tolerance=0.01)
 
 

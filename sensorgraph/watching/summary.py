@@ -12,6 +12,7 @@ import numpy as np
 
 from sensorgraph.types import Floats
 from sensorgraph.watching.policy import Level
+from sensorgraph.watching.settings import BELIEF_FAULT
 from sensorgraph.watching.status import WatchStatus
 
 MOST_POINTS = 4000
@@ -166,9 +167,10 @@ class WatchSummary:
             told.append(
                 f"{len(lasting)} change{'s' * (len(lasting) > 1)} may be for good: {self._build(record)}"
             )
-        if self.last.faults:
+        faults = [fault for fault in self.last.faults if fault.name != BELIEF_FAULT.name]  # of no effect
+        if faults:
             told.append(
-                f"the next run that settles {self.last.faults[0].name} is named by: "
+                f"the next run that settles {faults[0].name} is named by: "
                 f"{record}sensorgraph diagnose {self._run()} -o diagnosis"
             )
         return "; ".join(told)

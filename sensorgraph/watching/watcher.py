@@ -164,7 +164,7 @@ class Watcher:
 
     def _status(self, observation: Observation) -> WatchStatus:
         stamp, before = observation.stamp, self._before
-        pose = self.judge.state(observation)
+        pose = self.judge.state(observation, self.robot.belief_age)
         is_same = before is not None and before.status == pose.status
         pose = replace(pose, since=before.since if before is not None and is_same else stamp)
         self._before = pose
