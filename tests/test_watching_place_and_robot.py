@@ -274,7 +274,7 @@ def test_the_filter_of_the_wheels_recovers_what_a_drive_was_made_with() -> None:
 @pytest.mark.parametrize(
     ("name", "parameters", "stderr", "words"),
     [
-        ("latency", {"s": -0.1112}, {"s": 0.01}, "latency −111 ± 10 ms"),
+        ("latency", {"s": -0.1112}, {"s": 0.01}, "latency: scans 111 ± 10 ms older than their stamps"),
         (
             "wheel_radius_diff",
             {"rad_per_m": 0.0244},

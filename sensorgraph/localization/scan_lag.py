@@ -156,6 +156,11 @@ def with_stamp_of(run: Run, lag: ScanLag) -> tuple[Run, tuple[str, ...]]:
                 f"scans are stamped at the {where} of the sweep of {1e3 * sensor.scan_duration:.0f} ms: the odometry shows "
                 f"a lag of {text}",
             )
+    taken = (
+        ""
+        if abs(lag.value) < MIN_LAG
+        else f" (by the odometry's clock, taken {'before' if lag.value < 0 else 'after'} these)"
+    )
     return run, (
-        f"lag of the scans relative to the odometry: {text}; poses are given at the stamps of the scans",
+        f"lag of the scans relative to the odometry: {text}; poses are given at the stamps of the scans{taken}",
     )

@@ -20,6 +20,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from scipy.special import expit
 
 from sensorgraph.diagnosis.report.quantities import number
+from sensorgraph.effects.latency import LATENCY
 from sensorgraph.effects.wheel_radius import WHEEL_RADIUS
 from sensorgraph.effects.wheel_radius_diff import WHEEL_RADIUS_DIFF
 from sensorgraph.watching.settings import FaultPrior
@@ -72,6 +73,10 @@ class FaultDoubt:
         sizes = between.join(
             _size(key, value, self.stderr.get(key, math.inf)) for key, value in self.parameters.items()
         )
+        if self.name == LATENCY.name:  # `diagnose` counts the age of a scan, which has the opposite sign
+            older = self.parameters["s"] < 0
+            size = number(abs(1e3 * self.parameters["s"]), 1e3 * self.stderr.get("s", math.inf))
+            return f"latency: scans {size} ms {'older' if older else 'newer'} than their stamps"
         return f"{WORDS.get(self.name, self.name.replace('_', ' '))} {sizes}"
 
 
