@@ -86,6 +86,18 @@ def test_a_late_belief_is_named_and_is_not_off() -> None:
     assert not summary.next_step()  # no effect of `diagnose` has this name
 
 
+def test_an_interval_that_is_off_states_its_largest_offset() -> None:
+    """An interval ends when the belief is right again: the last offset would be within the tolerance."""
+    poses = looking_about(np.arange(0.0, 20.0, 1 / RATE))
+    run = room_run(poses, rate=RATE, seed=3)
+    believed = poses + np.exp(-0.5 * (run.stamps[:, None] - 10.0) ** 2) * [0.8, 0.0, 0.0]
+    summary, words = said_of(believing(run, believed))
+    (span,) = (span for span in summary.spans["pose"] if span.word == "off")
+    assert words[-1] == "ok"
+    metres = float(span.text.split("up to ")[1].split(" m")[0])
+    assert 0.7 < metres < 0.85
+
+
 @pytest.mark.slow
 def test_a_belief_in_time_has_no_latency() -> None:
     summary, words = said_of(late(0.0))

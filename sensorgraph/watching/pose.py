@@ -55,13 +55,15 @@ class PoseStatement:
     since: float = 0.0
     """[s] Stamp of the first statement with this status."""
 
+    def place(self) -> str:
+        """Return where the robot is by our own tracking; empty if that is unknown."""
+        if self.pose is None:
+            return ""
+        return f"({self.pose[0]:.2f}, {self.pose[1]:.2f}) m, {math.degrees(self.pose[2]):.0f}°"
+
     def sentence(self) -> str:
         """Return the statement as one sentence."""
-        at = (
-            ""
-            if self.pose is None
-            else f"({self.pose[0]:.2f}, {self.pose[1]:.2f}) m, {math.degrees(self.pose[2]):.0f}°"
-        )
+        at = self.place()
         if not self.is_known_place and self.status != "lost":
             metres = float(np.hypot(*self.deviations[:2]))
             own = f"outside what the graph knows: by odometry at {at}, ± {metres:.2f} m"

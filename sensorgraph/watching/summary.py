@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -102,12 +103,16 @@ class WatchSummary:
         self.n_outside = 0
         """Number of statements that the robot is outside what the graph knows."""
         self._every = 1
+        self._most = 0.0, 0.0
+        """[m, rad] Largest offsets of the believed pose since it was first off."""
 
     def add(self, status: WatchStatus, level: Level, reason: str) -> None:
         """Add one statement."""
         self.first = status.t if self.first is None else self.first
         t, words = status.t - self.first, words_of(status)
-        for row, word, text in zip(ROWS, words, status.sentences(), strict=True):
+        for row, word, text in zip(
+            ROWS, words, (self._pose_text(status), *status.sentences()[1:]), strict=True
+        ):
             self._extend(row, t, word, text)
         if self.n_statements % self._every == 0:
             at = np.full(3, np.nan) if status.pose.pose is None else status.pose.pose
@@ -145,6 +150,15 @@ class WatchSummary:
         if self.last is None or self.first is None:
             return []
         return [f"at the end, {self.last.t - self.first:.0f} s:", *self.last.sentences()]
+
+    def _pose_text(self, status: WatchStatus) -> str:
+        """Return the sentence on the pose for its interval: while it is off, with the largest offset since it was first off."""
+        pose, text = status.pose, status.sentences()[0]
+        if pose.status != "off" or not pose.is_known_place:
+            self._most = 0.0, 0.0
+            return text
+        self._most = max(self._most[0], pose.offset[0]), max(self._most[1], pose.offset[1])
+        return f"pose off by up to {self._most[0]:.2f} m and {math.degrees(self._most[1]):.0f}°: at last, the robot is at {pose.place()}"
 
     def _extend(self, row: str, t: float, word: str, text: str) -> None:
         spans = self.spans[row]
