@@ -1,13 +1,14 @@
 """Time by which the pose that the robot believes is late.
 
 A pose that is T old at its stamp is that of the robot T ago. With the tracked pose x(t), the belief b(t) less x(t - T) has an offset
-of its own, which lasts for a block of some seconds, and noise. Each block has the cost
+that lasts for a block of some seconds, and noise. Each block has the cost
 
     C_b(T) = sum_k |r_k(T) - mean r(T)|²,   r_k = (b(t_k) - x(t_k - T)) / tolerance,
 
 on a grid of T. The minimum of C = sum_b C_b is the estimate. Neighbouring beliefs have the same error, blocks do not: the variance
-is sum_b C_b'² / C''² (the sandwich of Liang and Zeger 1986), and at least 2 s² / C'', that of independent beliefs with the mean
-square s². At a constant velocity, C is flat, and the age is not known.
+is sum_b C_b'² / C''² (the sandwich of Liang and Zeger 1986). It is at least 2 s² / C'', and T² s² / (C(0) - C(T)), those of errors
+with the mean square s² of a belief that last for a second. At a constant velocity, only the noise of the track
+changes C, and the age is not known. Derivatives are taken over times that are longer than this noise lasts.
 """
 
 from __future__ import annotations
@@ -23,8 +24,12 @@ from sensorgraph.watching.settings import BELIEF_FAULT, TRACKING
 
 STEP = 0.05
 """[s] Step of the grid."""
-LAGS = STEP * np.arange(-8, 33)
-"""(n_lags,) [s] The grid; a belief that is later is not followed."""
+WIDE = 8
+"""Number of these steps over which derivatives are taken."""
+LAGS = STEP * np.arange(-2 * WIDE, 24 + WIDE + 1)
+"""(n_lags,) [s] The grid; a belief that is later than 1.2 s is not followed."""
+LASTS = 1.0
+"""[s] Time for which an error of a belief lasts, as of one that is corrected."""
 BLOCK = 5.0
 """[s] Duration of a block."""
 LONGEST_STEP = 1.0
@@ -97,18 +102,21 @@ class BeliefLag:
         costs = np.array(self._blocks)
         total = costs.sum(axis=0)
         k = int(np.argmin(total))
-        if k in (0, len(LAGS) - 1):
+        if not WIDE <= k < len(LAGS) - WIDE:
             return unknown
         slopes, curvatures = _derivatives(costs, k)
         curvature = curvatures.sum()
         if curvature <= 0:
             return unknown
-        shift = -slopes.sum() / curvature  # less than a step of the grid
-        scores = slopes + curvatures * shift
-        n = len(costs)
-        variance = n / (n - 1) * float((scores**2).sum()) / curvature**2
-        independent = 2.0 * (float(total[k]) / sum(self._n) + ROUNDING) / curvature
-        return np.array([LAGS[k] + shift]), np.array([math.sqrt(max(variance, independent))])
+        n, rows = len(costs), sum(self._n)
+        variance = n / (n - 1) * float((slopes**2).sum()) / curvature**2
+        repeats = max(rows / 3 / n / BLOCK * LASTS, 1.0)  # of one error
+        square = repeats * (float(total[k]) / rows + ROUNDING)
+        gain = float(total[int(np.argmin(np.abs(LAGS)))] - total[k])
+        least = 2.0 * square / curvature
+        if k != int(np.argmin(np.abs(LAGS))):
+            least = max(least, LAGS[k] ** 2 * square / max(gain, 1e-12))
+        return np.array([LAGS[k]]), np.array([math.sqrt(max(variance, least) + STEP**2 / 12)])
 
     @property
     def freedom(self) -> float:
@@ -119,7 +127,7 @@ class BeliefLag:
         costs = np.array(self._blocks)
         if len(costs) < 2:
             return 1.0
-        k = int(np.clip(np.argmin(costs.sum(axis=0)), 1, len(LAGS) - 2))
+        k = int(np.clip(np.argmin(costs.sum(axis=0)), WIDE, len(LAGS) - WIDE - 1))
         curvatures = np.maximum(_derivatives(costs, k)[1], 0.0)
         own = max(float(curvatures.sum() ** 2 / max((curvatures**2).sum(), 1e-12)) - 1.0, 1.0)
         error = float(self.estimates()[1][0])
@@ -128,5 +136,5 @@ class BeliefLag:
 
 def _derivatives(costs: Floats, k: int) -> tuple[Floats, Floats]:
     """Return the first and second derivatives (n,) of costs (n, n_lags) at the k-th lag."""
-    before, here, after = costs[:, k - 1], costs[:, k], costs[:, k + 1]
-    return (after - before) / (2 * STEP), (after - 2 * here + before) / STEP**2
+    before, here, after, width = costs[:, k - WIDE], costs[:, k], costs[:, k + WIDE], WIDE * STEP
+    return (after - before) / (2 * width), (after - 2 * here + before) / width**2
