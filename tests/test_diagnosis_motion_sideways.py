@@ -14,12 +14,9 @@ from diagnosis_samples import ROBOT, make_run
 from logs.run import Run
 from planners.types import Floats
 from sensorgraph.diagnosis.motion.consequence import simulation_error
-from sensorgraph.diagnosis.motion.naming import name_motion_effects
 from sensorgraph.diagnosis.motion.odometry_channel import aligned_rows, diagnose_odometry
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
 from sensorgraph.diagnosis.motion.wheel_rows import motion_signals
-from sensorgraph.diagnosis.result import ChannelResult, Unknown
-from sensorgraph.effects import EFFECTS
 
 
 def moved_aside(run: Run, speed: Callable[[Floats, Floats, Floats], Floats]) -> Run:
@@ -123,11 +120,3 @@ def test_a_simulation_that_slides_aside_is_as_far_off_as_it_slid() -> None:
     size = simulation_error(np.full(n, 0.03), np.zeros(n), np.zeros(2 * n), np.full(n, dt), 0.4, aside)
     assert size.drift == pytest.approx(0.06, rel=0.01)  # a minute of it
     assert size.speed == pytest.approx(0.001)
-
-
-@pytest.mark.parametrize(("evidence", "kept"), [(60.0, 0), (380.0, 0), (400.0, 1)])
-def test_a_name_beside_an_unknown_needs_three_times_its_evidence(evidence: float, kept: int) -> None:
-    slip = replace(EFFECTS["wheel_slip"](s=0.3, x=1.0, y=1.0, r=0.3), evidence=evidence)
-    unknown = Unknown(statement="play", statistic=130.0)
-    result = name_motion_effects(ChannelResult(channel="odometry", effects=(slip,), unknown=unknown), ())
-    assert len(result.effects) == kept and result.unknown is unknown

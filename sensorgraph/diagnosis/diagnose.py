@@ -19,9 +19,9 @@ from sensorgraph.diagnosis.motion.calibration.driving import DrivingFinding, dia
 from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.naming import (
     as_one_doubt,
+    beside_doubted_wheels,
     beside_shown_reference,
     name_motion_effects,
-    without_echoes_of_doubted_wheels,
 )
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
 from sensorgraph.diagnosis.next_run.design import NextRun, next_run
@@ -280,7 +280,7 @@ def diagnose_motion(
             wheels=odometry.motion,
             named_wheels=odometry.effects,
         )
-        drive = name_motion_effects(without_echoes_of_doubted_wheels(driven, odometry), known)
+        drive = name_motion_effects(beside_doubted_wheels(driven, odometry), known)
     return as_one_doubt(odometry, drive)
 
 

@@ -1,4 +1,4 @@
-"""Remove names of motion effects that are known, implausible, or explained by what another channel shows."""
+"""Remove names of motion effects that are known, or explained by what another channel shows."""
 
 from __future__ import annotations
 
@@ -16,33 +16,9 @@ from sensorgraph.effects.dead_time import DEAD_TIME
 from sensorgraph.effects.effect import size_ratio
 from sensorgraph.effects.pose_clock_offset import POSE_CLOCK_OFFSET
 
-ABSURD = Objection("absurd_wheels", "odometry and reference poses do not belong together")
-"""Why effects with sufficient evidence are not named."""
-WRONG_BY_HALF = 0.5
-"""Absolute scale error of a wheel all over a run, above which odometry and reference poses do not belong together."""
-LEAD_OVER_UNKNOWN = 3.0
-"""Ratio of the evidence of an effect to that of a difference that no effect explains, above which it keeps its name.
-Evidence grows with the square of a size."""
-
 
 def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> ChannelResult:
-    """Remove effects of a motion channel that are known, implausible or contradicted by unmodelled structure."""
-    is_absurd = any(
-        a.effect.channel == "odometry"
-        and a.effect.place is None
-        and abs(a.parameters.get("s", 0.0)) > WRONG_BY_HALF
-        for a in result.effects
-    )
-    if is_absurd:
-        words = (
-            "odometry and reference poses do not belong together: distance or turn differ in sign or by more than half, or the "
-            "poses are those of a point beside the robot's axle"
-        )
-        gone = dict.fromkeys(range(len(result.effects)), ABSURD)
-        return without_close_calls(replace(result.without(gone), unknown=Unknown(statement=words)))
-    result = result.without(
-        _weaker(result, result.unknown, "it may be a part of a difference that no effect explains")
-    )
+    """Remove effects of a motion channel that are in the model already."""
     expected = {a.name: a.parameters for a in known if a.effect not in (ACTUATOR_LAG, DEAD_TIME)}
     as_known = {a.name for a in result.effects if _is_expected(a, expected)}
     given = Objection("given", "it is already in the model, as given")
@@ -51,22 +27,15 @@ def name_motion_effects(result: ChannelResult, known: Sequence[Amendment]) -> Ch
     return without_close_calls(replace(result.without(why), rivals=rivals))
 
 
-def _weaker(result: ChannelResult, unknown: Unknown | None, words: str) -> dict[int, Objection]:
-    """Return the effects that may be a part of a difference that no effect explains (`lead_over_unknown`)."""
-    if unknown is None:
-        return {}
-    why, least = Objection("weaker_than_unknown", words), LEAD_OVER_UNKNOWN * unknown.statistic
-    return {i: why for i, a in enumerate(result.effects) if (a.evidence or 0.0) < least}
-
-
-def without_echoes_of_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
-    """Remove motor effects that an error of the wheels may imitate: clock drift, misreading at speed, one late encoder."""
+def beside_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> ChannelResult:
+    """Remove motor effects with less evidence than an unexplained error of the wheels, which may imitate them: clock drift, misreading."""
     unknown = odometry.unknown
     if unknown is None or "reference_m" in unknown.size:
         return drive
-    words = "the odometry has an unexplained error that may cause it"
-    why = _weaker(drive, unknown, words)
-    return _unseen(drive.without(why), [drive.effects[i].name for i in why], words)
+    words = "the odometry has an unexplained error with more evidence, which may cause it"
+    weak = [i for i, a in enumerate(drive.effects) if (a.evidence or 0.0) < unknown.statistic]
+    why = dict.fromkeys(weak, Objection("part_of_unknown", words))
+    return _unseen(drive.without(why), [drive.effects[i].name for i in weak], words)
 
 
 def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> ChannelResult:
@@ -126,7 +95,7 @@ def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[Channel
         ),
     )
     words = "a clock offset and a dead time cancel, so that one unknown cause explains both"
-    why = Objection("weaker_than_unknown", words)
+    why = Objection("absorbed_by_unknown", words)
     return (
         replace(odometry.without({odometry.effects.index(clock): why}), unknown=unknown),
         drive.without({drive.effects.index(delay): why}),
