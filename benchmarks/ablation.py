@@ -29,11 +29,11 @@ from scipy.stats import binomtest
 from benchmarks.arguments import existing, parser_of
 from benchmarks.hidden_effects.results import Case, load
 from sensorgraph.diagnosis.engine.ledger import Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import Facts, Verdict
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict
 from sensorgraph.diagnosis.scan.consequence import material_probability
 from sensorgraph.effects import EFFECTS
 
-DUE_TO_UNKNOWN = ("absorbed_by_unknown", "part_of_unknown", "weaker_than_unknown")
+DUE_TO_UNKNOWN = ("absorbed_by_unknown", "part_of_unknown")
 """Rules that take a name because of a difference that no effect explains."""
 FACTORS = (0.5, 2.0)
 Change = Callable[[Ledger], Ledger]
@@ -120,6 +120,8 @@ def without_hypothesis(name: str, ledger: Ledger) -> Ledger:
             facts = replace(facts, lead=None)
         if entry.channel in freed:
             facts = without_rules(DUE_TO_UNKNOWN, facts)
+            if entry.decided_by is DecidedBy.BEATEN and not facts.has_name:
+                facts = replace(facts, accepted=True)
         out.append(replace(entry, facts=facts))
     return Ledger(entries=tuple(out))
 

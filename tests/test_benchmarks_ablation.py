@@ -78,14 +78,14 @@ def test_an_answer_has_a_kind(said: Answer, truth: Case, kind: str) -> None:
 
 
 def test_a_rule_that_hides_a_right_name_gains_it_when_it_goes() -> None:
-    found = ablate([case("range_bias")], [ledger(doubted(BIAS, "map_error"))])
-    rule = next(e for e in found if e.what == "rule map_error out")
+    found = ablate([case("range_bias")], [ledger(doubted(BIAS, "site_baseline"))])
+    rule = next(e for e in found if e.what == "rule site_baseline out")
     assert (rule.changed, rule.gained, rule.lost, rule.wrong) == (1, 1, 0, 0)
 
 
 def test_a_rule_that_hides_a_wrong_name_is_worth_its_place() -> None:
-    found = ablate([case(suite="none")], [ledger(doubted(BIAS, "map_error"))])
-    rule = next(e for e in found if e.what == "rule map_error out")
+    found = ablate([case(suite="none")], [ledger(doubted(BIAS, "site_baseline"))])
+    rule = next(e for e in found if e.what == "rule site_baseline out")
     assert (rule.lost, rule.gained, rule.wrong) == (1, 0, 1)
 
 
@@ -135,7 +135,7 @@ def test_the_paired_interval_holds_zero_if_as_many_move_either_way() -> None:
 
 
 def test_the_command_reads_stored_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    stored = ledger(doubted(BIAS, "map_error"), UNKNOWN)
+    stored = ledger(doubted(BIAS, "site_baseline"), UNKNOWN)
     for name in ("truth", "answers/sensorgraph/0000"):
         (tmp_path / name).mkdir(parents=True)
     (tmp_path / "truth/0000.json").write_text(json.dumps({"suite": "foreign", "effects": []}))
@@ -145,7 +145,7 @@ def test_the_command_reads_stored_answers(tmp_path: Path, capsys: pytest.Capture
     printed = capsys.readouterr().out
     assert "1 cases: 1 right" in printed and "disagree on the names in 0 cases" in printed
     rows = {one["what"]: one for one in json.loads((tmp_path / "out.json").read_text())["changes"]}
-    assert rows["rule map_error out"]["lost"] == rows["hypothesis scans_elsewhere out"]["lost"] == 1
+    assert rows["rule site_baseline out"]["lost"] == rows["hypothesis scans_elsewhere out"]["lost"] == 1
 
 
 def test_folders_without_answers_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

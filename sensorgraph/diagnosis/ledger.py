@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Set
 from dataclasses import replace
 
 from sensorgraph.diagnosis.engine.ledger import Competitor, Entry, Ledger
-from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Objection, Verdict, judge
+from sensorgraph.diagnosis.engine.verdict import DecidedBy, Facts, Verdict, judge
 from sensorgraph.diagnosis.engine.why import check_known
 from sensorgraph.diagnosis.motion.consequence import SimulationError
 from sensorgraph.diagnosis.motion.selection import FAMILIES_OF
@@ -17,7 +17,6 @@ from sensorgraph.diagnosis.result import ChannelResult
 from sensorgraph.diagnosis.scan.unnamed import titles
 from sensorgraph.effects import EFFECTS, Amendment, Effect
 
-EXPLAINED = Objection("explained_otherwise", "the same difference is explained otherwise")
 UNLISTED = "unexplained"
 """Name of a difference that belongs to no family, as two logs that do not belong together."""
 
@@ -187,14 +186,16 @@ def _untested(result: ChannelResult, name: str, title: str) -> Entry:
 
 
 def _judged(result: ChannelResult, family: Entry) -> Entry:
-    """Return a family with an objection if the channel reports another difference, or none, instead."""
+    """Return a family, beaten by the reported difference if this is another one."""
     unknown = result.unknown
     if unknown is not None and unknown.family == family.name:
         causes = "; or ".join(unknown.families)
         return replace(family, needs=f"which of these is the cause: {causes}" if causes else "")
     if family.verdict is not Verdict.UNKNOWN:
         return family
-    return replace(family, facts=replace(family.facts, objection=EXPLAINED))
+    cause = "" if unknown is None else families_of(result.channel).get(unknown.family, unknown.statement)
+    remark = f"{cause}, which is reported, may cause it" if cause else family.remark
+    return replace(family, facts=replace(family.facts, accepted=False), remark=remark)
 
 
 def not_observable(ledger: Ledger) -> list[Entry]:

@@ -22,6 +22,9 @@ from sensorgraph.diagnosis.scan.worth import price
 from sensorgraph.effects import EFFECTS, Amendment
 from sensorgraph.effects.effect import without
 
+USUAL = Objection("site_baseline", "the known-good runs of the site show as much")
+"""Why a significant difference is not reported."""
+
 
 def effect_entries(
     data: ScanData,
@@ -161,7 +164,7 @@ def _family_entry(name: str, doubt: Doubt | None, fit: GoodnessOfFit, sigma: flo
         threshold=max(least, SCAN.selection.threshold) if price else least,
         is_significant=is_told or is_sure,
         is_material=is_material,
-        objection=_objection(fit) if is_accepted and is_material and not is_told else None,
+        objection=USUAL if is_accepted and is_material and fit.told is None else None,
     )
     return Entry(
         name=name,
@@ -174,14 +177,6 @@ def _family_entry(name: str, doubt: Doubt | None, fit: GoodnessOfFit, sigma: flo
         consequence=size.sentence() if size.to_dict() else "",
         remark="" if is_told or doubt is None or doubt.is_sure else _unlike(doubt, evidence),
     )
-
-
-def _objection(fit: GoodnessOfFit) -> Objection:
-    """Return why a significant difference is not reported."""
-    if fit.told is None:
-        return Objection("site_baseline", "the known-good runs of the site show as much")
-    cause = titles().get(fit.told.family, "a difference")
-    return Objection("weaker_than_unknown", f"{cause}, which explains more, may cause it")
 
 
 def _unlike(doubt: Doubt, evidence: float) -> str:
