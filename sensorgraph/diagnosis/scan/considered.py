@@ -50,7 +50,7 @@ def effect_entries(
         is_size = why is not None and why.rule == SURELY_MATERIAL
         facts = Facts(
             has_name=True,
-            accepted=True,
+            accepted=(a.evidence or 0.0) >= SCAN.selection.threshold,
             evidence=a.evidence,
             threshold=SCAN.selection.threshold,
             material_probability=chances[index],

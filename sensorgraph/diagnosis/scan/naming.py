@@ -35,9 +35,6 @@ from sensorgraph.diagnosis.scan.unnamed import Doubt, titles
 from sensorgraph.diagnosis.scan.worth import is_within_baseline, n_parameters
 from sensorgraph.effects import Amendment
 
-IMITATED = Objection("mean_pose_error", "the mean error of a reference that drifts may imitate it")
-"""Why an effect with sufficient evidence is not named."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScanNames:
@@ -82,16 +79,17 @@ def name_scan_effects(
     complete = [
         replace(
             located(amendment, data),
-            evidence=explained.gains[index],
+            evidence=min(explained.gains[index], evidence_beside_wander(final, amendment)),
             probability=chances[index] * probability(explained, index, fit),
         )
         for index, amendment in enumerate(final.model)
     ]
-    why = [why_immaterial(final, a, chance) for a, chance in zip(final.model, chances, strict=True)]
-    small = {i: objection for i, objection in enumerate(why) if objection is not None}
-    rules = {i: why_withdrawn(explained, i, fit.told) for i in range(len(complete)) if i not in small}
+    enough = [i for i, a in enumerate(complete) if (a.evidence or 0.0) >= SCAN.selection.threshold]
+    why = {i: why_immaterial(final, final.model[i], chances[i]) for i in enough}
+    small = {i: objection for i, objection in why.items() if objection is not None}
+    rules = {i: why_withdrawn(explained, i, fit.told) for i in enough if i not in small}
     accepted = [i for i, rule in rules.items() if rule is None]
-    order = sorted(accepted, key=lambda i: -explained.gains[i])
+    order = sorted(accepted, key=lambda i: -(complete[i].evidence or 0.0))
     result = ChannelResult(
         channel="scan",
         effects=tuple(complete[i] for i in order),
@@ -100,14 +98,12 @@ def name_scan_effects(
             Withdrawn(amendment=complete[i], objection=rule) for i, rule in rules.items() if rule is not None
         ),
         not_observable={
-            complete[
-                i
-            ].name: f"{brief(complete[i])} is within the possible mean error of a reference that drifts"
-            for i, rule in rules.items()
-            if rule is IMITATED
+            a.name: f"{brief(a)} is within the possible mean error of a reference that drifts"
+            for i, a in enumerate(complete)
+            if i not in enough
         },
         unknown=_unknown(fit.told),
-        rivals=tuple(_rival(data, explained, i) for i in order if i in explained.rivals),
+        rivals=tuple(_rival(data, complete[i], *explained.rivals[i]) for i in order if i in explained.rivals),
         deviations=tuple(deviations),
         notes={"immaterial": list(fit.immaterial)} if fit.immaterial else {},
     )
@@ -121,13 +117,12 @@ def name_scan_effects(
     )
 
 
-def _rival(data: ScanData, explained: Explained, index: int) -> Rival:
-    """Return the second best explanation of what an effect of the model explains."""
-    a, (rival, short) = explained.final.model[index], explained.rivals[index]
+def _rival(data: ScanData, a: Amendment, rival: Amendment, short: float) -> Rival:
+    """Return the second best explanation of what an effect explains, `short` [nats] of it."""
     return Rival(
         name=rival.name,
         instead_of=a.name,
-        evidence_nats=explained.gains[index] - short,
+        evidence_nats=(a.evidence or 0.0) - short,
         separates=separation(a, rival),
         required_nats=_margin(data, a, rival),
     )
@@ -173,10 +168,8 @@ def why_immaterial(fitted: Fitted, amendment: Amendment, chance: float) -> Objec
 
 
 def why_withdrawn(explained: Explained, index: int, told: Doubt | None) -> Objection | None:
-    """Return why the mean of a drifting reference, or unmodelled structure, takes the name of an effect; None if neither does."""
+    """Return why unmodelled structure takes the name of an effect; None if it does not."""
     amendment, settings = explained.final.model[index], SCAN.goodness_of_fit
-    if evidence_beside_wander(explained.final, amendment) < SCAN.naming.rival_margin:
-        return IMITATED
     if told is None:
         return None
     share = settings.failed_law_share if told.is_of_building else settings.min_share_of_gain
