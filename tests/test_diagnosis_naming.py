@@ -6,21 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from sensorgraph.diagnosis.motion.naming import beside_doubted_wheels, beside_shown_reference
+from sensorgraph.diagnosis.motion.naming import beside_doubted_wheels
 from sensorgraph.diagnosis.result import ChannelResult, Unknown
 from sensorgraph.effects import EFFECTS
 
-BASE = replace(EFFECTS["wheel_base"](s=-0.03), evidence=40.0)
 LAG = replace(EFFECTS["actuator_lag"](tau=0.05), evidence=40.0)
-
-
-@pytest.mark.parametrize(("scale", "is_named"), [(1.0, True), (1.7, True), (2.5, False)])
-def test_evidence_of_wheels_falls_with_the_square_of_how_bad_the_reference_is(
-    scale: float, is_named: bool
-) -> None:
-    told = beside_shown_reference(ChannelResult(channel="odometry", effects=(BASE,)), scale)
-    assert (told.effects == (BASE,)) is is_named
-    assert ("wheel_base" in told.not_observable) is not is_named
 
 
 @pytest.mark.parametrize(("nats", "is_named"), [(None, True), (39.0, True), (41.0, False)])

@@ -20,7 +20,6 @@ from sensorgraph.diagnosis.motion.drive_channel import diagnose_drive
 from sensorgraph.diagnosis.motion.naming import (
     as_one_doubt,
     beside_doubted_wheels,
-    beside_shown_reference,
     name_motion_effects,
 )
 from sensorgraph.diagnosis.motion.odometry_channel import diagnose_odometry
@@ -122,10 +121,9 @@ def _finding(
     drive: ChannelResult,
     simulated: Sequence[Amendment],
 ) -> Finding:
-    """Return the finding, with the channels adjusted for what the scans and a simulation show."""
-    judged = beside_shown_reference(odometry, scans.explained.final.state.pose_scale)
+    """Return the finding, with the channels adjusted for what a simulation shows."""
     return Finding(
-        channels={one.channel: without_shared(one, simulated) for one in (scans.result, judged, drive)},
+        channels={one.channel: without_shared(one, simulated) for one in (scans.result, odometry, drive)},
         intake=laid.notes,
         data=laid.data,
         explained=scans.explained,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,37 +35,8 @@ def beside_doubted_wheels(drive: ChannelResult, odometry: ChannelResult) -> Chan
     words = "the odometry has an unexplained error with more evidence, which may cause it"
     weak = [i for i, a in enumerate(drive.effects) if (a.evidence or 0.0) < unknown.statistic]
     why = dict.fromkeys(weak, Objection("part_of_unknown", words))
-    return _unseen(drive.without(why), [drive.effects[i].name for i in weak], words)
-
-
-def beside_shown_reference(odometry: ChannelResult, pose_scale: float) -> ChannelResult:
-    """Require more evidence of wheel effects if the reference is as inaccurate as the scans show.
-
-    Evidence is half a chi-square statistic, in which the error of the reference is the scale. It falls with
-    the square of that scale.
-
-    Parameters
-    ----------
-    pose_scale : Ratio of the reference error that the scans show to the specified one.
-    """
-    if pose_scale < SCAN.nuisance.stretched_scale:
-        return odometry
-    least = SCAN.selection.threshold * pose_scale**2
-    weak = {a.name for a in odometry.effects if (a.evidence or 0.0) < least}
-    considered = (
-        replace(one, facts=replace(one.facts, accepted=False, threshold=least)) if one.name in weak else one
-        for one in odometry.considered
-    )
-    kept = tuple(a for a in odometry.effects if a.name not in weak)
-    words = (
-        f"the scans show a reference error of {pose_scale:.1f} times the specified one, which may cause this"
-    )
-    return _unseen(replace(odometry, effects=kept, considered=tuple(considered)), weak, words)
-
-
-def _unseen(result: ChannelResult, names: Iterable[str], words: str) -> ChannelResult:
-    """Return a channel with some effects not observable, for a reason."""
-    return replace(result, not_observable={**result.not_observable, **dict.fromkeys(names, words)})
+    unseen = dict.fromkeys((drive.effects[i].name for i in weak), words)
+    return replace(drive.without(why), not_observable={**drive.not_observable, **unseen})
 
 
 def as_one_doubt(odometry: ChannelResult, drive: ChannelResult) -> tuple[ChannelResult, ChannelResult]:
