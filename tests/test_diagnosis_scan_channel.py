@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
 
 import pytest
 from conftest import further
 from scan_samples import data_of, drive, hall_arena
 
 from sensorgraph.diagnosis.diagnose import diagnose
-from sensorgraph.diagnosis.result import ChannelResult, Deviation, Unknown
 from sensorgraph.diagnosis.scan import naming
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, start_state
 from sensorgraph.diagnosis.scan.goodness_of_fit import GoodnessOfFit, told_by_tolerances
-from sensorgraph.diagnosis.scan.model_selection import Explained
 from sensorgraph.diagnosis.scan.scan_data import prepare_scans
 from sensorgraph.diagnosis.scan.settings import NoiseBounds
-from sensorgraph.diagnosis.scan_channel import ScanDiagnosis, shows_straight_reference
 from sensorgraph.effects import EFFECTS
 from sensorgraph.loading import robot_for
 from sensorgraph.world.robot import parse_robot
@@ -27,39 +23,6 @@ from sensorgraph.world.robot import parse_robot
 def null() -> Fitted:
     data = data_of(hall_arena())
     return fit(data, (), start_state(data, NoiseBounds()), NoiseBounds())
-
-
-@pytest.mark.parametrize(
-    ("yaw", "place", "is_doubted", "is_straight"),
-    [
-        (0.014, 0.0002, False, True),
-        (0.0002, 0.03, False, True),
-        (0.002, 0.001, False, False),
-        (0.014, 0.0002, True, False),
-    ],
-    ids=["yaw", "place", "within tolerances", "scans doubted"],
-)
-def test_scans_that_fit_the_arena_show_a_straight_reference(
-    null: Fitted, yaw: float, place: float, is_doubted: bool, is_straight: bool
-) -> None:
-    """Poses within 2 mm and 0.1 degrees of what the scans say are not bent by 0.8 degrees or 3 cm over the place."""
-    doubt = Unknown(statement="something") if is_doubted else None
-    scans = ScanDiagnosis(
-        result=ChannelResult(channel="scan", unknown=doubt),
-        names=cast(Any, None),
-        explained=Explained(null=null, final=null, gains={}),
-        goodness_of_fit=cast(Any, None),
-        second_gap=None,
-    )
-    for kind in ("reference place", "reference jumps"):
-        how = Deviation(
-            family="bias", partition=kind, label="bent", z=9.0, size=0.0, n_rays=9, channel="odometry"
-        )
-        size = {"reference_m": place, "reference_rad": yaw}
-        told = Unknown(statement="bent", size=size, deviation=how)
-        odometry = ChannelResult(channel="odometry", unknown=told)
-        assert shows_straight_reference(scans, odometry) == (is_straight and kind == "reference place")
-    assert not shows_straight_reference(scans, ChannelResult(channel="odometry"))
 
 
 @pytest.mark.parametrize(("stated", "height"), [("", 0.45), (", height: 0.2", 0.2)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,6 @@ from sensorgraph.diagnosis.scan_channel import (
     ScanDiagnosis,
     StageClock,
     diagnose_scans,
-    shows_straight_reference,
 )
 from sensorgraph.diagnosis.site_baseline import SiteBaseline
 from sensorgraph.effects import Amendment
@@ -100,15 +98,11 @@ def diagnose(
         other = None if second is None else _prepare_second(second, laid, baseline, noise_bounds, rng)
         parts = (*_split(laid, noise_bounds), other)
         run, second = run.take_scans(slice(0)), None  # the scans of a long log are no longer needed
-    motion = partial(diagnose_motion, run, laid.robot, known, progress)
     with clock.stage("odometry and drive"):  # before the scans, since both need much memory in a long run
-        odometry, drive = motion()
+        odometry, drive = diagnose_motion(run, laid.robot, known, progress)
     scans = diagnose_scans(
         *parts, noise_bounds=noise_bounds, baseline=baseline, simulated=simulated, rng=rng, clock=clock
     )
-    if shows_straight_reference(scans, odometry):
-        with clock.stage("odometry and drive"):
-            odometry, drive = motion(is_reference_straight=True)
     found = _finding(laid, scans, odometry, drive, simulated)
     plan = _planned(scans, laid, seed, clock) if plan_next else None
     return replace(found, next_run=plan, seconds=clock.seconds)
@@ -257,18 +251,11 @@ def diagnose_motion(
     robot: Robot,
     known: Sequence[Amendment],
     progress: ProgressBars = no_progress,
-    *,
-    is_reference_straight: bool = False,
 ) -> tuple[ChannelResult, ChannelResult]:
-    """Return the results of the odometry channel and the drive channel.
-
-    Parameters
-    ----------
-    is_reference_straight : The scans have shown that the reference poses are not distorted over the place.
-    """
+    """Return the results of the odometry channel and the drive channel."""
     model = motion_model(robot, known)
     with progress("comparing wheels with poses", ""):
-        found = diagnose_odometry(run, model, is_reference_straight=is_reference_straight)
+        found = diagnose_odometry(run, model)
         odometry = name_motion_effects(found, known)
     with progress("comparing commands with wheels", ""):
         driven = diagnose_drive(

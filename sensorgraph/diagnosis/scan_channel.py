@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from sensorgraph.diagnosis.motion.wheel_structure import BENT_REFERENCE
 from sensorgraph.diagnosis.result import ChannelResult, Gap, shared_with
 from sensorgraph.diagnosis.scan.considered import effect_entries, family_entries
 from sensorgraph.diagnosis.scan.deviations import deviations
@@ -142,25 +141,6 @@ def _beyond_usual(found: GoodnessOfFit, baseline: SiteBaseline, train: ScanData)
     beyond = found.misfit - baseline.usual_misfit(train.ranges.size)
     told = None if found.told is None or beyond <= 0 else replace(found.told, misfit=beyond)
     return replace(found, told=told)
-
-
-def shows_straight_reference(scans: ScanDiagnosis, odometry: ChannelResult) -> bool:
-    """Tell whether the scans contradict a distorted reference that the odometry channel reports.
-
-    Wheel slip that adds up over a minute may resemble a reference that is distorted over the place. The scans
-    test each pose separately. The reference is straight if the scans show no unmodelled structure and no
-    widened tolerance, and pose errors far below the reported distortion.
-    """
-    state, told = scans.explained.final.state, scans.explained.final.solver.data.tolerances
-    unknown = odometry.unknown
-    if unknown is None or unknown.deviation is None or unknown.deviation.partition not in BENT_REFERENCE:
-        return False
-    size = unknown.size
-    claimed = (size.get("reference_m", 0.0) / told.pose_xy, size.get("reference_rad", 0.0) / told.pose_yaw)
-    is_sure = scans.result.unknown is None and state.stretch <= SCAN.nuisance.stretched_scale
-    return (
-        is_sure and max(claimed) > SCAN.goodness_of_fit.max_tolerance_scale_beside_effects * state.pose_scale
-    )
 
 
 class StageClock:

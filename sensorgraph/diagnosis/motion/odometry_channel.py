@@ -54,14 +54,10 @@ MIN_DISTANCE = 1.0
 """[m] minimum path for a slip to be observable."""
 
 
-def diagnose_odometry(run: Run, robot: Robot, *, is_reference_straight: bool = False) -> ChannelResult:
+def diagnose_odometry(run: Run, robot: Robot) -> ChannelResult:
     """Name the effects that make odometry and reference poses differ.
 
     A run without odometry or separate reference poses is skipped, with the reason in `ChannelResult.skipped`.
-
-    Parameters
-    ----------
-    is_reference_straight : The scans have shown that the reference poses are not distorted over the place.
     """
     try:
         signals = motion_signals(run)
@@ -78,7 +74,7 @@ def diagnose_odometry(run: Run, robot: Robot, *, is_reference_straight: bool = F
         model = WheelModel(moved, signals.wheels, robot)
     if run.pose_frame == "base_link" and not is_located(run):
         model.allow_askew()
-    terms = select(model, is_reference_straight=is_reference_straight)
+    terms = select(model)
     return odometry_result(model, terms, signals)
 
 
@@ -189,15 +185,14 @@ def _correlation(a: Floats, b: Floats) -> float:
 # selection -----------------------------------------------------------------------------------------------------------
 
 
-def select(model: WheelModel, *, is_reference_straight: bool = False) -> list[Term]:
+def select(model: WheelModel) -> list[Term]:
     """Add hypotheses to the model while the evidence suffices, then remove superfluous ones.
 
-    Structure that no effect explains competes with the effects, and replaces patches if it explains more. If the
-    reference is known to be straight, a distorted reference is not tried.
+    Structure that no effect explains competes with the effects, and replaces patches if it explains more.
     """
     settings = SCAN.selection
     terms = engine.select(WheelChannel(model), threshold=settings.threshold, most=settings.max_effects)
-    add_structure(model, terms, is_reference_straight=is_reference_straight)
+    add_structure(model, terms)
     for i in range(len(model.patches)):
         if model.patch_term(i) in terms:
             refine_patch(model, i, terms)
@@ -236,12 +231,10 @@ class WheelChannel(MotionChannel):
         self.fit, self._fits = wheels.fit(model), {}
 
 
-def add_structure(model: WheelModel, terms: list[Term], *, is_reference_straight: bool) -> None:
+def add_structure(model: WheelModel, terms: list[Term]) -> None:
     """Let structure that no effect explains enter the model, in addition to the effects or instead of patches."""
     model.denoise_motion()
-    families = odometry_families(
-        model.rows, model.motion, model.robot.wheels, is_reference_straight=is_reference_straight
-    )
+    families = odometry_families(model.rows, model.motion, model.robot.wheels)
     limits = noise_limits(model.robot, model.wheels, model.rows.stamps)
     own = np.delete(model.columns, model.n_own - 1, axis=1)
     late = clock_sigma(model.robot) * model.columns[:, model.n_own - 1, None]

@@ -38,8 +38,6 @@ ODOMETRY_FAMILIES = {
     "askew": ("askew", "a direction of travel at an angle to the heading"),
 }
 """Kind -> name in the ledger, and noun phrase."""
-BENT_REFERENCE = ("reference yaw", "reference place")
-"""Kinds of the families of a reference that is distorted over the place."""
 
 Part = Literal["distance", "turn", "left wheel", "right wheel"]
 PARTS: tuple[Part, ...] = ("left wheel", "right wheel", "turn")
@@ -62,15 +60,12 @@ N_REFERENCE_JUMPS = 5
 """How many numbers of jumps of the reference are tried: 1, 2, 4, ... jumps, each within a tenth of a second."""
 
 
-def odometry_families(
-    rows: OdometryRows, wheels: WheelIncrements, size: Wheels, *, is_reference_straight: bool = False
-) -> list[StructureFamily]:
+def odometry_families(rows: OdometryRows, wheels: WheelIncrements, size: Wheels) -> list[StructureFamily]:
     """Return the families of differences that no effect explains, with columns (3 n, k).
 
     Parameters
     ----------
     size : Radius and distance of the wheels.
-    is_reference_straight : Omit a reference that is distorted over the place.
     """
     rates = _rates(wheels)
     passed = (wheels.middle - wheels.start[0]) / np.ptp(wheels.middle)
@@ -98,9 +93,8 @@ def odometry_families(
         *_turns_of_a_wheel(rows, wheels, size),
         _by_heading(rows, wheels),
         _sliding(rows, wheels),
+        *distorted_reference(rows, rows.D_along @ wheels.distance),
     ]
-    if not is_reference_straight:
-        families += distorted_reference(rows, rows.D_along @ wheels.distance)
     return families
 
 

@@ -249,8 +249,7 @@ class GoodnessOfFitSettings:
     max_tolerance_scale: float = 3.2
     """Multiple of the nominal tolerances above which the setup differs from its description."""
     max_tolerance_scale_beside_effects: float = 2.0
-    """The same with effects in the model, which explain a part of the difference; distortion of the reference, in tolerances, above
-    which scans that fit the arena with its poses contradict it."""
+    """The same with effects in the model, which explain a part of the difference."""
     outline_distance: float = 0.1
     """[m] Distance from mapped walls above which an obstacle is separate from them."""
     failed_law_share: float = 0.1
