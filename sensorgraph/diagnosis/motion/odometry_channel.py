@@ -50,8 +50,6 @@ MIN_WINDOWS = 10
 """Minimum number of windows for a statement."""
 CERTAIN = 0.8
 """Correlation above which two motions are the same, and below minus which they are opposite."""
-MIN_DISTANCE = 1.0
-"""[m] minimum path for a slip to be observable."""
 
 
 def diagnose_odometry(run: Run, robot: Robot) -> ChannelResult:
@@ -68,20 +66,10 @@ def diagnose_odometry(run: Run, robot: Robot) -> ChannelResult:
     except ChannelSkippedError as exc:
         return ChannelResult(channel="odometry", skipped=str(exc))
     model = WheelModel(rows, signals.wheels, robot)
-    late = clock_left(model)
-    moved = rows_at(signals, rows.clock + late)
-    if moved is not None:
-        model = WheelModel(moved, signals.wheels, robot)
     if run.pose_frame == "base_link" and not is_located(run):
         model.allow_askew()
     terms = select(model)
     return odometry_result(model, terms, signals)
-
-
-def clock_left(model: WheelModel) -> float:
-    """Return the remaining error of the assumed clock offset, with all effects free [s]."""
-    theta = model.fit(model.effects).solution.theta
-    return float(np.clip(theta[model.clock], -CLOCK_STEP, CLOCK_STEP))
 
 
 def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
@@ -274,7 +262,6 @@ def odometry_result(model: WheelModel, terms: Sequence[Term], signals: MotionSig
     """Return the result of the odometry channel for the selected hypotheses."""
     fit = model.fit(terms)
     slips = any(term.effect is WHEEL_SLIP for term in terms)
-    hides_slip = not slips and float(np.abs(model.wheels.distance).sum()) < MIN_DISTANCE
 
     def patch_instead(rest: Sequence[Term], term: Term) -> dict[Effect, float]:
         """Return the evidence of a slippery patch that could replace an effect [nats]."""
@@ -287,7 +274,7 @@ def odometry_result(model: WheelModel, terms: Sequence[Term], signals: MotionSig
         fit,
         instead=patch_instead,
         also_tried=[] if slips else tried_patch(model, terms),
-        not_observable={WHEEL_SLIP.name: "the robot drove less than 1 m"} if hides_slip else {},
+        not_observable={},
         notes={
             **signals.notes,
             "clock_offset_s": model.rows.clock + float(fit.solution.theta[model.clock]),

@@ -25,9 +25,9 @@ MAX_VALUES = 1_000_000
 """Maximum number of rows times discs in memory: 8 MB per array."""
 RADII = (0.2, 0.3, 0.42, 0.56, 0.72, 0.92, 1.2, 1.6, 2.1)
 """[m] radii that are tried; the first and the last one bound all others."""
-MIN_INFORMATION = 400.0
-"""[1] minimum inverse variance of the lost share, for 5 % standard error; with less, the robot hardly
-crossed the disc."""
+MIN_INFORMATION = WHEEL_SLIP.sizes["s"] ** -2
+"""Minimum inverse variance of the lost share, at a standard error of its materiality; with less, the robot hardly crossed the
+disc."""
 CELL = 0.15
 """[m] distance between the centres that are tried."""
 MAX_CENTRES = 250
