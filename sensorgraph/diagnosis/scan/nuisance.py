@@ -34,6 +34,8 @@ from sensorgraph.world.robot import Tolerances
 SETTINGS = SCAN.nuisance
 HIDDEN_SIZES = RANGE_BIAS.sizes["b"], RANGE_SCALE.sizes["s"], RANGE_DRIFT.sizes["b1"]
 """[m, 1, m] Materiality of the effects of the laser that a careful setup may hide in part."""
+UNIFORM = float(1 / np.sqrt(3))
+"""Standard deviation of an error that is uniform within its tolerance: of a delay, or of a skew of the sweep."""
 MAX_PRIORS = 4
 """Number of kept priors of the poses of some scans."""
 
@@ -49,8 +51,8 @@ def prior_widths(tolerances: Tolerances) -> Floats:
             bias,
             scale,
             drift,
-            SETTINGS.steady_stamp_share * tolerances.stamp,
-            SETTINGS.skew_stamp_share * tolerances.stamp,
+            UNIFORM * tolerances.stamp,
+            UNIFORM * tolerances.stamp,
         ]
     )
 

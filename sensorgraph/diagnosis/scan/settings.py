@@ -120,10 +120,6 @@ class NuisanceSettings:
     """Bound of a nuisance parameter, in tolerances; a larger error must be an effect."""
     hidden_share: float = 0.25
     """Standard deviation of a hidden bias, scale or drift of the ranges, relative to the materiality of the effect."""
-    steady_stamp_share: float = 0.43
-    """Share of the stamp tolerance that is constant during a run (latency)."""
-    skew_stamp_share: float = 0.7
-    """Share of the stamp tolerance that may be a skew of the sweep."""
     min_cosine: float = 0.12
     """Cosine of the incidence below which a ray carries little information (83 degrees)."""
     grazing_sigma: tuple[float, float] = (0.004, 0.003)

@@ -27,7 +27,7 @@ from scipy.special import bdtrc
 
 from sensorgraph.diagnosis.scan.fit import Fitted, fit, solver_for, start_state
 from sensorgraph.diagnosis.scan.normal_equations import System, boxed
-from sensorgraph.diagnosis.scan.nuisance import effects_with_nuisances, pose_prior
+from sensorgraph.diagnosis.scan.nuisance import UNIFORM, effects_with_nuisances, pose_prior
 from sensorgraph.diagnosis.scan.residuals import with_poses_of_rays
 from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN
@@ -302,5 +302,5 @@ def shift_tolerances(data: ScanData, cuts: Sequence[int]) -> Tolerances:
         nominal,
         mount_xy=max(nominal.mount_xy, float(shift)),
         mount_yaw=max(nominal.mount_yaw, float(turn)),
-        stamp=max(nominal.stamp, float(stamp) / SCAN.nuisance.steady_stamp_share),
+        stamp=max(nominal.stamp, float(stamp) / UNIFORM),
     )
