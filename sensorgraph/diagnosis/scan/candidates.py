@@ -152,7 +152,7 @@ def _of_one_sensor(effects: list[Effect], residuals: FitResiduals) -> list[Candi
 
 
 def _swept(effects: list[Effect], residuals: FitResiduals) -> list[Candidate]:
-    """Return the best value of each group of values that effects request to be cast; of all groups, the best few.
+    """Return the best value of each group of values that effects request to be cast.
 
     Values are cast on a part of the scans, with nominal nuisances. A group ends at a value whose gain is
     negative and below that of the previous value.
@@ -175,7 +175,7 @@ def _best_casts(
     model: tuple[Amendment, ...],
     groups: Sequence[tuple[Effect, Sequence[Mapping[str, float]]]],
 ) -> list[Candidate]:
-    """Return the best value of each group of values of an effect, cast beside a model; of all groups, the best few."""
+    """Return the best value of each group of values of an effect, cast beside a model."""
     every = max(1, data.n_scans // SCAN.selection.n_cast_scans)
     few = thin(data, every)
     state = start_state(few, SCAN.noise)  # fitted nuisances may have absorbed the effect
@@ -190,7 +190,7 @@ def _best_casts(
             if len(tried) > 1 and gain < min(tried[-2].gain, 0.0):
                 break
         found.append(max(tried, key=lambda c: c.gain))
-    return sorted(found, key=lambda c: -c.gain)[: SCAN.selection.max_cast_values]
+    return found
 
 
 def name_at_place(amendment: Amendment) -> str:

@@ -196,8 +196,6 @@ class SelectionSettings:
     """Maximum number of readings of these scans: lasers of many rays need fewer scans."""
     n_cast_scans: int = 40
     """Number of scans on which values that effects request are cast, and effects for their consequence."""
-    max_cast_values: int = 2
-    """Maximum number of these values that are proposed, each the best of its group."""
     same_gain: float = 0.8
     """Minimum ratio of the smaller to the larger of a candidate's expected gains, in the bare model and now.
     Above it, the gain is unchanged, and the candidate is not a remainder of other effects."""
