@@ -26,6 +26,7 @@ from sensorgraph.diagnosis.motion.slip_patches import best_patch, gains_of_discs
 from sensorgraph.diagnosis.motion.structure_test import StructureFamily, StructureTest
 from sensorgraph.diagnosis.motion.wheel_model import WheelModel
 from sensorgraph.diagnosis.motion.wheel_rows import (
+    AVERAGING_TIME,
     WINDOW,
     MotionSignals,
     OdometryRows,
@@ -46,8 +47,6 @@ MAX_CLOCK = 0.8
 """[s] maximum clock offset of the search."""
 CLOCK_STEP = 0.025
 """[s] step of the search."""
-MIN_WINDOWS = 10
-"""Minimum number of windows for a statement."""
 CERTAIN = 0.8
 """Correlation above which two motions are the same, and below minus which they are opposite."""
 
@@ -141,7 +140,7 @@ def counts_backwards(signals: MotionSignals) -> str:
     wheels, poses = signals.wheels, signals.poses
     first, last = max(wheels.start[0], signals.stamps[0]), min(wheels.end[-1], signals.stamps[-1])
     edges = np.arange(first, last, WINDOW)
-    if len(edges) <= MIN_WINDOWS:
+    if len(edges) * WINDOW < MIN_ROWS * AVERAGING_TIME:
         return ""
     ends = np.append(wheels.start, wheels.end[-1])
     counted = [

@@ -34,7 +34,7 @@ from sensorgraph.types import Bools, Floats, Ints
 
 FEW_INCREMENTS = 0.995
 """Quantile of the number of increments per row that rows have space for; rows with more are not valid."""
-WINDOW = 1.0
+WINDOW = SCAN.block
 """[s] averaging time of speeds in the gap, of the offset between the headings of reference and wheels, and of motions that
 are compared; long against the offset of a usual clock."""
 AVERAGING_TIME = 0.1

@@ -36,7 +36,8 @@ SQRT_2, SQRT_TAU = math.sqrt(2.0), math.sqrt(2 * math.pi)
 # These settings are constants of this module instead of `settings`, because numba compiles their values into the kernel.
 EDGE_WIDTH = 2.0
 """Ratio of the standard deviation at the far side of an edge to that of the core."""
-EDGE_NEAR, EDGE_BETWEEN = 0.9, 0.1
+EDGE_NEAR = 0.9
+EDGE_BETWEEN = 1 - EDGE_NEAR
 """Shares of the readings at an edge: at its far side, and anywhere between the two sides."""
 CUT = REACH
 """Standard deviations from a limit of the sensor, within which a residual has weight 0: as far as from an edge in depth.

@@ -34,6 +34,7 @@ from sensorgraph.diagnosis.motion.calibration.laser_motion import (
     LaserMotion,
 )
 from sensorgraph.diagnosis.motion.regression import BoundedPrior, Regression
+from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.localization.settings import WHEELS
 from sensorgraph.localization.wheels import corrected_steps
 from sensorgraph.types import Floats
@@ -49,8 +50,6 @@ PRIOR_ERRORS = np.array([0.3, 0.3, 0.1, 0.3, 0.3, 0.3, 0.3, 0.02, 0.02])
 the delay [s], and the drift with the floor (slope, nap of a carpet). Half of one, as a standard error, hides a quantity."""
 TAIL = 4.0
 """Degrees of freedom of Student's t for the residuals."""
-MAX_ROUNDS = 30
-"""Maximum number of steps of expectation maximisation; outliers lose their weight slowly."""
 SETTLED = 0.02
 """Change of every parameter, in standard errors, and relative change of the noise factors, below which these steps end."""
 NOISE_FREEDOM = 1.0
@@ -214,7 +213,7 @@ def whitened_rows(motion: LaserMotion, window: int) -> WindowRows:
         return rows
     theta, covariance, factors = before, np.diag(PRIOR_ERRORS**2), np.ones(3)
     whitening = np.linalg.inv(np.linalg.cholesky(window_covariances(motion, window)))
-    for _ in range(MAX_ROUNDS):
+    for _ in range(SCAN.fit.max_rounds):  # outliers lose their weight slowly
         y = np.einsum("cmn,nc->mc", whitening, _added(_residuals(motion, theta), window))
         A = np.einsum("cmn,nca->mca", whitening, _derivatives(motion, theta, window))
         squares = y**2 + np.einsum("nca,ab,ncb->nc", A, covariance, A)  # with what theta leaves uncertain

@@ -45,8 +45,6 @@ LAG = 3.0
 """[s] Time in which a person walks about 4 m, away from where a standing object would be seen again."""
 CELL = 0.1
 """[m] Bin width of the histograms, about the width of a leg."""
-SHORTEST_WRAP = 1.0
-"""[m] Minimum length after which ranges wrap around, or an echo of the previous pulse arrives."""
 PEOPLE, STRAYS = "walking people", "strays"
 STRAY_CAUSES: tuple[str, ...] = (
     "a second laser, or reflections of the laser's own light",
@@ -173,8 +171,8 @@ class OddReadings:
 
     @property
     def wrapped(self) -> Floats:
-        """(n,) [m] Lacking length if ranges may have wrapped around; nan elsewhere."""
-        return np.where(np.isfinite(self.lacking) & (self.lacking > SHORTEST_WRAP), self.lacking, np.nan)
+        """(n,) [m] Lacking length if ranges may have wrapped around, and no person is that wide; nan elsewhere."""
+        return np.where(np.isfinite(self.lacking) & (self.lacking > 2 * PERSON), self.lacking, np.nan)
 
 
 def better_law(view: FitResiduals, some: Bools, usual: str) -> tuple[str, tuple[str, ...]]:

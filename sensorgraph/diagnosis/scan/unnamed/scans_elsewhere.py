@@ -45,8 +45,6 @@ CAUSES = (
 )
 WIDER = (10.0, 30.0, 100.0)
 """Ratios of the pose error of the second kind to its tolerance that are tried."""
-ROUNDS = 40
-"""Number of rounds of expectation maximisation."""
 REST_SCALES = np.geomspace(0.25, 4.0, 7)
 """Multiples of the rest of the pose error that are tried, for each multiple of the part."""
 PART_SCALES = np.geomspace(0.25, 8.0, 16)
@@ -119,7 +117,7 @@ def elsewhere(fitted: Fitted) -> Elsewhere:
     out = []
     for wider in WIDER:
         wide, share = each.log_p_of_prior(wider**2 * each.prior), 0.5
-        for _ in range(ROUNDS):
+        for _ in range(SCAN.fit.max_rounds):
             first, second = np.log1p(-share) + plain, np.log(share) + wide
             both = np.logaddexp(first, second)
             chance = np.exp(second - both)
