@@ -15,6 +15,7 @@ from scipy.special import ndtr, pdtr
 from sensorgraph.diagnosis.result import Deviation
 from sensorgraph.diagnosis.scan.fit import Cast, Fitted, log_p_at
 from sensorgraph.diagnosis.scan.nuisance import prior_widths
+from sensorgraph.diagnosis.scan.scan_data import ScanData
 from sensorgraph.diagnosis.scan.settings import SCAN, GoodnessOfFitSettings
 from sensorgraph.effects import Amendment
 from sensorgraph.effects.effect import size_ratio
@@ -254,3 +255,37 @@ def required_ratio(fitted: Fitted, amendment: Amendment) -> float:
     proved = max(1.0, fitted.state.map_scale, fitted.state.pose_scale)
     usual, told = prior_widths(Tolerances()), prior_widths(fitted.solver.data.tolerances)
     return proved * float((told / usual)[list(amendment.effect.nuisances)].max(initial=1.0))
+
+
+def is_map_error(fitted: Fitted, amendment: Amendment) -> bool:
+    """Return whether a change of the building is within the errors of the map.
+
+    This holds for a wall of an occupancy-grid map, or the map as a whole, that moved by less than a cell, and for a disc that stands
+    out of a mapped object by a small distance. A disc that may be as large as the largest one also counts, because it was fitted to
+    a flat object.
+    """
+    data, values = fitted.solver.data, amendment.parameters
+    if amendment.effect.place != "spot":
+        return _is_within_cell(data, amendment)
+    largest = amendment.effect.parameter("r").high - amendment.effect.sizes["r"]
+    if values["r"] + 2 * amendment.stderr.get("r", 0.0) > largest:
+        return True
+    spot = np.array([[values["x"], values["y"]]])
+    if data.arena.contains(spot)[0]:
+        return False
+    stands_out = values["r"] - float(data.barriers.distances(spot)[0])
+    return stands_out < SCAN.nuisance.max_tolerances * data.tolerances.map * required_ratio(fitted, amendment)
+
+
+def _is_within_cell(data: ScanData, amendment: Amendment) -> bool:
+    """Return whether the walls that an effect moves, less twice its standard error, stay within a cell of the map."""
+    effect = amendment.effect
+    if data.grain <= 0 or effect.place == "obstacle" or effect.diagnostics.corner_shifts is None:
+        return False
+    scene = data.scene()
+    before = scene.walls.copy()
+    amendment(scene)
+    shift = (scene.walls - before).reshape(-1, 2)
+    if effect.place is None:
+        shift = shift - shift.mean(axis=0)  # the poses absorb it
+    return float(np.hypot(*shift.T).max()) - 2 * amendment.stderr.get("d", 0.0) < 2 * data.grain

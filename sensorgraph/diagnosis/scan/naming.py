@@ -20,6 +20,7 @@ from sensorgraph.diagnosis.result import (
 )
 from sensorgraph.diagnosis.scan.consequence import (
     SURELY_MATERIAL,
+    is_map_error,
     material_chance,
     required_ratio,
 )
@@ -152,6 +153,8 @@ def why_immaterial(fitted: Fitted, amendment: Amendment, chance: float) -> Objec
     """Return why an effect, which is material with a probability `chance`, is not named; None if it is large enough."""
     if is_within_baseline(fitted, amendment):
         return Objection("site_baseline", "it is within what the known-good runs of the site show")
+    if is_map_error(fitted, amendment):
+        return Objection("map_error", "it is within the errors of the map")
     required = SCAN.naming.min_material_probability
     if chance >= required:
         return None

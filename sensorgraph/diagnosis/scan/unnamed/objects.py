@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensorgraph.diagnosis.scan.consequence import ScanError, scan_change
+from sensorgraph.diagnosis.scan.consequence import ScanError, is_map_error, scan_change
 from sensorgraph.diagnosis.scan.fit import cast, log_p_at
 from sensorgraph.diagnosis.scan.settings import SCAN
 from sensorgraph.diagnosis.scan.unnamed.family import Checked, Doubt, Unnamed
@@ -35,7 +35,7 @@ def find_at_walls(checked: Checked) -> list[Doubt]:
         return []
     out = []
     for index, a in enumerate(view.fitted.model):
-        if a.effect.place != "spot":
+        if a.effect.place != "spot" or is_map_error(view.fitted, a):
             continue
         x, y = a["x"], a["y"]
         if data.arena.contains(np.array([[x, y]]))[0]:
