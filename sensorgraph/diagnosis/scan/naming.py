@@ -76,15 +76,17 @@ def name_scan_effects(
     """
     final = explained.final
     chances = tuple(material_chance(final, a) for a in final.model)
+    least = SCAN.selection.threshold
+    beside_wander = [evidence_beside_wander(final, amendment) for amendment in final.model]
     complete = [
         replace(
             located(amendment, data),
-            evidence=min(explained.gains[index], evidence_beside_wander(final, amendment)),
+            evidence=explained.gains[index] if beside_wander[index] >= least else beside_wander[index],
             probability=chances[index] * probability(explained, index, fit),
         )
         for index, amendment in enumerate(final.model)
     ]
-    enough = [i for i, a in enumerate(complete) if (a.evidence or 0.0) >= SCAN.selection.threshold]
+    enough = [i for i, a in enumerate(complete) if (a.evidence or 0.0) >= least]
     why = {i: why_immaterial(final, final.model[i], chances[i]) for i in enough}
     small = {i: objection for i, objection in why.items() if objection is not None}
     rules = {i: why_withdrawn(explained, i, fit.told) for i in enough if i not in small}
