@@ -13,8 +13,8 @@ and y.
 r_c are the residuals of the motion in c = x, y, phi, summed over windows, so that stamp errors cancel, and L_c Lᵀ_c is
 their usual covariance. Expectation maximisation finds the noise factors s (Lange, Little and Taylor 1989). The whitened
 rows are those of the regression of the motion channels; the standard errors are those of independent windows, or of
-long blocks of the run if larger (Liang and Zeger 1986; Cameron and Miller 2015). Student's t widens them, so that twice
-their value covers 95 %.
+long blocks of the run if larger (Liang and Zeger 1986; Cameron and Miller 2015). Student's t widens them by the degrees of
+freedom of the noise factors (Welch 1947), so that twice their value covers 95 %.
 
 The constants were chosen on intel, fr079 and aces, and on parts of one located log (`benchmarks.halves`).
 """
@@ -101,18 +101,32 @@ class WindowRows:
         """Return values and standard errors (9,)."""
         from scipy.stats import t as student  # slow to import, and rarely needed
 
-        def widening(freedom: float) -> float:
-            return float(student.ppf(0.975, freedom) / student.ppf(0.975, np.inf))
+        def widening(freedom: Floats | float) -> Floats:
+            return np.asarray(student.ppf(0.975, freedom) / student.ppf(0.975, np.inf))
 
         regression = self.regression()
         fit = regression.solve(self.prior)
-        stderr = np.sqrt(np.diag(fit.covariance)) * widening(NOISE_FREEDOM + self.n)
+        stderr = np.sqrt(np.diag(fit.covariance)) * widening(self._freedom(fit.covariance))
         blocks = min(BLOCKS, self.n)
         if blocks > 1:
             block = np.repeat(np.arange(self.n) * blocks // self.n, 3)
             robust = np.sqrt(regression.robust_variances(fit, block) * blocks / (blocks - 1))
             stderr = np.maximum(stderr, robust * widening(blocks - 1))
         return self.at + fit.theta, np.hypot(stderr, self.floors)
+
+    def _freedom(self, covariance: Floats) -> Floats:
+        """Return the degrees of freedom (9,) of standard errors with noise factors of the windows (Welch 1947).
+
+        A factor has those of its prior and of the windows, less the parameters that its component determines.
+        """
+        if not self.n:
+            return np.full(N_ALL, np.inf)
+        used = np.einsum("nca,ab,ncb->c", self.A, covariance, self.A)
+        parts = np.square(np.einsum("ab,ncb->nca", covariance, self.A)).sum(axis=0)  # variance by each component
+        with np.errstate(divide="ignore"):
+            return np.asarray(
+                np.diag(covariance) ** 2 / (parts**2 / (NOISE_FREEDOM + self.n - used)[:, None]).sum(axis=0)
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
