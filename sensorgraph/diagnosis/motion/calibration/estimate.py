@@ -122,7 +122,9 @@ class WindowRows:
         if not self.n:
             return np.full(N_ALL, np.inf)
         used = np.einsum("nca,ab,ncb->c", self.A, covariance, self.A)
-        parts = np.square(np.einsum("ab,ncb->nca", covariance, self.A)).sum(axis=0)  # variance by each component
+        parts = np.square(np.einsum("ab,ncb->nca", covariance, self.A)).sum(
+            axis=0
+        )  # variance by each component
         with np.errstate(divide="ignore"):
             return np.asarray(
                 np.diag(covariance) ** 2 / (parts**2 / (NOISE_FREEDOM + self.n - used)[:, None]).sum(axis=0)
