@@ -24,6 +24,8 @@
     Joint refinement of poses and surfaces, with wheel constraints.
 `covariances`, `surface_errors`, `dead_reckoning`
     Covariances of the poses: from a bootstrap of the residuals, and along directions that scans do not determine.
+`sweep_middles`
+    Poses at the stamps of slow sweeps, between the middles of two sweeps.
 `mapping`, `map_states`
     `map_run`: the whole pipeline for a run in a new place; its maps, and the status of its scans.
 `in_map`, `map_check`, `map_tracking`, `rival_places`

@@ -7,7 +7,8 @@
 * `missing`, `search`, `kept_scans`: when the scans may fit better at another pose, and a search for it in parallel.
 * `pose`: is the believed pose right.
 * `place`: what stands there that the graph lacks, and what is gone.
-* `odometry_errors`, `laser_errors`, `evidence`, `robot`: hypotheses about laser and wheels, with their evidence.
+* `odometry_errors`, `laser_errors`, `belief_lag`, `evidence`, `robot`: hypotheses about laser, wheels and a late belief, with their
+  evidence.
 * `watcher`, `status`: the three statements, once a second.
 * `policy`: limits learned from good runs. `page`, `messages`: what people look at.
 """
