@@ -196,6 +196,12 @@ def test_ranges_that_are_too_long_by_an_offset_are_named() -> None:
     assert end.faults[0].parameters["m"] == pytest.approx(0.04, abs=3 * end.faults[0].stderr["m"])
 
 
+def test_an_offset_of_the_ranges_is_no_difference_of_the_place() -> None:
+    run = laps(2, seed=18)
+    good, late = last(run).share_predicted, last(replace(run, ranges=run.ranges + 0.04)).share_predicted
+    assert good is not None and late == pytest.approx(good, abs=0.02)
+
+
 def test_an_offset_of_the_ranges_moves_neither_the_tracked_pose_nor_the_mount() -> None:
     """A laser that looks ahead and reads too long seems to stand further back."""
     poses = np.concatenate(

@@ -155,8 +155,12 @@ class Watcher:
             self.robot.lose()
             return
         expected = self.readings.predict(main.pose)
-        found = self.readings.evidence(now.observation.ranges, main.pose[None], expected=expected)
-        self.place.update(now, main, expected, found, self.tracker.usable)
+        ranges = (
+            now.observation.ranges - self.tracker.offset.value
+        )  # an error of the laser is none of the place
+        seen = replace(now, observation=replace(now.observation, ranges=ranges))
+        found = self.readings.evidence(ranges, main.pose[None], expected=expected)
+        self.place.update(seen, main, expected, found, self.tracker.usable)
         self.robot.update(
             now, main.pose, expected, self.place.stands(now.observation.stamp, main.pose, expected)
         )
