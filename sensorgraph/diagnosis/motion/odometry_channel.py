@@ -65,10 +65,20 @@ def diagnose_odometry(run: Run, robot: Robot) -> ChannelResult:
     except ChannelSkippedError as exc:
         return ChannelResult(channel="odometry", skipped=str(exc))
     model = WheelModel(rows, signals.wheels, robot)
+    late = clock_left(model)
+    moved = rows_at(signals, rows.clock + late)
+    if moved is not None:
+        model = WheelModel(moved, signals.wheels, robot)
     if run.pose_frame == "base_link" and not is_located(run):
         model.allow_askew()
     terms = select(model)
     return odometry_result(model, terms, signals)
+
+
+def clock_left(model: WheelModel) -> float:
+    """Return the remaining error of the assumed clock offset, with all effects free [s]."""
+    theta = model.fit(model.effects).solution.theta
+    return float(np.clip(theta[model.clock], -CLOCK_STEP, CLOCK_STEP))
 
 
 def odometry_clock_offset(run: Run, robot: Robot) -> tuple[float, float] | None:
