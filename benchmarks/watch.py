@@ -87,11 +87,6 @@ class Watched:
         )  # fmt: skip
 
 
-def stretch(data: Halves, odometry: Floats, first: int, last: int) -> Watched:
-    """Return a clean stretch of the second half."""
-    return clean_scans(data, odometry, np.arange(first, last))
-
-
 def clean_scans(data: Halves, odometry: Floats, scans: Ints) -> Watched:
     """Return scans of the second half, with the truth as belief."""
     return Watched(
@@ -123,7 +118,7 @@ def put_off(
     turn = rng.uniform(np.radians(10), np.radians(20)) * rng.choice([-1.0, 1.0])
     is_moved = rng.random() < 0.5
     off = np.array([way * np.cos(direction), way * np.sin(direction), 0.0] if is_moved else [0.0, 0.0, turn])
-    clean = stretch(data, odometry, first, last)
+    clean = clean_scans(data, odometry, np.arange(first, last))
     believed = clean.believed.copy()
     believed[at - first :] = compose(believed[at - first :], off)
     return replace(clean, believed=believed, changed=at - first)
@@ -383,7 +378,7 @@ def main() -> None:
     parser.add_argument("--part", choices=("clean", "latency", "policy", "pose"), default="clean")
     parser.add_argument("--n", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0, help="of the kidnaps and of the beliefs put off")
-    parser.add_argument("--alone", action="store_true", help="without the alarms of others, to save time")
+    parser.add_argument("--alone", action="store_true", help="no alarms of others")
     parser.add_argument(
         "--swapped", action="store_true", help="watch the first half in a graph of the second"
     )

@@ -26,7 +26,9 @@ STEP = 0.05
 """[s] Step of the grid."""
 WIDE = 8
 """Number of these steps over which derivatives are taken."""
-LAGS = STEP * np.arange(-2 * WIDE, 24 + WIDE + 1)
+NONE = 2 * WIDE
+"""Index of no lag on the grid."""
+LAGS = STEP * (np.arange(NONE + 24 + WIDE + 1) - NONE)
 """(n_lags,) [s] The grid; a belief that is later than 1.2 s is not followed."""
 LASTS = 1.0
 """[s] Time for which an error of a belief lasts, as of one that is corrected."""
@@ -112,10 +114,9 @@ class BeliefLag:
         variance = n / (n - 1) * float((slopes**2).sum()) / curvature**2
         repeats = max(rows / 3 / n / BLOCK * LASTS, 1.0)  # of one error
         square = repeats * (float(total[k]) / rows + ROUNDING)
-        gain = float(total[int(np.argmin(np.abs(LAGS)))] - total[k])
         least = 2.0 * square / curvature
-        if k != int(np.argmin(np.abs(LAGS))):
-            least = max(least, LAGS[k] ** 2 * square / max(gain, 1e-12))
+        if k != NONE:
+            least = max(least, LAGS[k] ** 2 * square / max(float(total[NONE] - total[k]), 1e-12))
         return np.array([LAGS[k]]), np.array([math.sqrt(max(variance, least) + STEP**2 / 12)])
 
     @property

@@ -57,9 +57,8 @@ class Place:
         self.shape = nx, ny
         self.new = ThingCells(self.shape, priors)
         self.gone = ThingCells(self.shape, priors)
-        self._seen = np.full(
-            nx * ny, -np.inf
-        )  # [s] when a reading last ended at a surface in the cell, or next to it
+        # [s] when a reading last ended at a surface in the cell, or next to it
+        self._seen = np.full(nx * ny, -np.inf)
         self._crossed = np.zeros(np.ceil((high - low) / SIDE).astype(int), dtype=np.bool_)
         bearings = wrap(readings.sensor.bearings[readings.rays])
         self._order = np.argsort(bearings)
@@ -85,9 +84,7 @@ class Place:
         keep = max(1.0 - weight * returned.sum() * r.priors.independent / RECENT, 0.0)
         self.predicted = keep * self.predicted + weight * float(fits[returned].sum())
         self.counted = keep * self.counted + weight * float(returned.sum())
-        laser = np.asarray(compose(mode.pose, r.sensor.mount))
-        phi = laser[2] + r.sensor.bearings[r.rays]
-        way = np.column_stack([np.cos(phi), np.sin(phi)])
+        laser, way = self._directions(mode.pose)
         ratios, is_odd = self._odd(now.observation.ranges, mode, found, returned)
         share = found.predicted
         of_new = np.logaddexp(math.log(share / s.cell) - r.anywhere.log_density(z), math.log(1 - share))
@@ -117,13 +114,11 @@ class Place:
 
         Lately is within the mean time of a change for a while.
         """
-        laser = np.asarray(compose(pose, self.readings.sensor.mount))
-        phi = laser[2] + self.readings.sensor.bearings[self.readings.rays]
-        d = np.where(expected.answered[0], expected.mode[0], np.inf)
-        is_surface = np.isfinite(d)
-        way = np.where(is_surface, d, 0.0)[:, None] * np.column_stack([np.cos(phi), np.sin(phi)])
-        cells, which = self._cells(laser[:2] + way, is_surface)
-        found = np.zeros(len(phi), dtype=np.bool_)
+        laser, way = self._directions(pose)
+        is_surface = expected.answered[0] & np.isfinite(expected.mode[0])
+        surfaces = laser[:2] + np.where(is_surface, expected.mode[0], 0.0)[:, None] * way
+        cells, which = self._cells(surfaces, is_surface)
+        found = np.zeros(len(way), dtype=np.bool_)
         found[which] = stamp - self._seen[cells] < self.priors.stay
         return found
 
@@ -162,6 +157,13 @@ class Place:
         at = np.floor((points - self.low) / SIDE).astype(np.intp)
         inside = ((at >= 0) & (at < self._crossed.shape)).all(axis=1)
         self._crossed[tuple(at[inside].T)] = True
+
+    def _directions(self, pose: Floats) -> tuple[Floats, Floats]:
+        """Return the laser (3,) at a pose (3,) of base_link, and the directions (n_rays, 2) of its rays, in map."""
+        r = self.readings
+        laser = np.asarray(compose(pose, r.sensor.mount))
+        phi = laser[2] + r.sensor.bearings[r.rays]
+        return laser, np.column_stack([np.cos(phi), np.sin(phi)])
 
     def _cells(self, points: Floats, which: Bools) -> tuple[Ints, Bools]:
         """Return the cells (n,) of some points (n_rays, 2), and which points (n_rays,) have one that is not at the border."""

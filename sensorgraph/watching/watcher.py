@@ -155,15 +155,13 @@ class Watcher:
             self.robot.lose()
             return
         expected = self.readings.predict(main.pose)
-        ranges = (
-            now.observation.ranges - self.tracker.offset.value
-        )  # an error of the laser is none of the place
+        # an error of the laser is none of the place
+        ranges = now.observation.ranges - self.tracker.offset.value
         seen = replace(now, observation=replace(now.observation, ranges=ranges))
         found = self.readings.evidence(ranges, main.pose[None], expected=expected)
         self.place.update(seen, main, expected, found, self.tracker.usable)
-        self.robot.update(
-            now, main.pose, expected, self.place.stands(now.observation.stamp, main.pose, expected)
-        )
+        stands = self.place.stands(now.observation.stamp, main.pose, expected)
+        self.robot.update(now, main.pose, expected, stands)
         self.tracker.usable = self.robot.usable
 
     def _status(self, observation: Observation) -> WatchStatus:
